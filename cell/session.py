@@ -81,6 +81,7 @@ class Effort:
         searched_samples: unmeasured samples for each of which a measuring pose is searched.
         pose_search_share: share of the requested effort of a pose search.
         clearance_share: tolerance of a proven clearance, as a share of the clearance.
+        cover_work: search for the fewest or the cheapest views, with its proof.
         probe_work: search for views that only shows where samples are missing.
         selection_work: search that continues from a probe.
         repeat_work: each later search, where views fall slightly short of the target.
@@ -93,6 +94,7 @@ class Effort:
     searched_samples: int = N_PROBED_SAMPLES
     pose_search_share: float = 1.0
     clearance_share: float = 0.05
+    cover_work: int = DEFAULT_EFFORT
     probe_work: int = DEFAULT_EFFORT // 25
     selection_work: int = 2 * DEFAULT_EFFORT // 5
     repeat_work: int = DEFAULT_EFFORT // 5

@@ -40,6 +40,7 @@ from cell.report import plots
 from cell.runs import digest
 from cell.session import Effort, effort_of
 from cell.view.run_pages import PARTIAL_PAGE_FILE
+from tests.support.fixture_types import RunCommand, StartCommand
 
 # Tests have no deadline, because wall time is not a property. In CI the examples are the same in every execution.
 # `--hypothesis-profile=full` has four times as many examples.
@@ -135,30 +136,30 @@ def cache(made_once: Callable[..., Path]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Return a function that runs `cell` in this process in a directory `cwd` and returns a CompletedProcess."""
+def run_cell(cache: Path) -> RunCommand:
+    """Return a function that runs `cell` in this process in a directory `cwd` and returns a CompletedProcess.
+
+    It requires the exit code `code` if one is given.
+    """
     from cell.cli import app
     from cell.cli.failures import INTERRUPTED, report_errors
 
-    def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: object, cwd: Path, code: int | None = None) -> subprocess.CompletedProcess[str]:
         words = [str(word) for word in arguments]
         out, errors = io.StringIO(), io.StringIO()
-        with (
-            pytest.MonkeyPatch.context() as patch,
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(errors),
-        ):
+        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
             for name, value in _surroundings(cache).items():
                 patch.setenv(name, value)
             patch.delenv("SCAN_CELL_TRACEBACK", raising=False)
             patch.setattr(sys, "argv", ["cell", *words])
             patch.chdir(cwd)
-            code = report_errors(
+            ended = report_errors(
                 lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
             )
-        if code == INTERRUPTED:  # Ctrl-C at the terminal ends the tests
+        if ended == INTERRUPTED:  # Ctrl-C at the terminal ends the tests
             raise KeyboardInterrupt
-        return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())
+        assert code in (None, ended), errors.getvalue()
+        return subprocess.CompletedProcess(words, ended, out.getvalue(), errors.getvalue())
 
     return run
 
@@ -232,13 +233,10 @@ def drawing_is_here() -> Iterator[None]:
 
 
 _LOW_EFFORT = Effort(
-    held_out_samples=10_000,
-    deviation_samples=10_000,
-    searched_samples=100,
-    pose_search_share=0.1,
-    clearance_share=0.3,
-    curve_work=10_000_000,
-)
+    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, pose_search_share=0.1, clearance_share=0.3,
+    cover_work=30_000_000, probe_work=10_000_000, selection_work=20_000_000, repeat_work=10_000_000,
+    constrained_work=100_000_000, curve_work=10_000_000,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -280,7 +278,7 @@ def drawn_pictures() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def start_cell(cache: Path) -> Callable[..., "subprocess.Popen[str]"]:
+def start_cell(cache: Path) -> StartCommand:
     """Return a function that starts `python -m cell` in a directory `cwd`, with both outputs in pipes by default."""
 
     def start(*arguments: object, cwd: Path | None = None, **streams: int) -> "subprocess.Popen[str]":
@@ -333,40 +331,32 @@ def part_file(made_once: Callable[..., Path]) -> Path:
 
 
 @pytest.fixture(scope="session")
-def planned(
-    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Path:
+def planned(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return the run folder of one finished plan of the small part."""
 
     def make(folder: Path) -> None:
         with _drawn():
-            done = run_cell("plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder)
-        assert done.returncode == 0, done.stderr
+            done = run_cell(
+                "plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder, code=0
+            )
         assert json.loads(done.stdout)["n_views"] > 1
 
     return made_once("planned", make) / "run"
 
 
 @pytest.fixture(scope="session")
-def made_setups(
-    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Path:
+def made_setups(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return the folder of the small part's set-ups, chosen from four candidates. The file `stdout` is next to it."""
 
     def make(folder: Path) -> None:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the optimum of the small part is proven early
-            done = run_cell("setups", part_file, *_SMALL_SETUPS, "--proposals", "4", "--out", "made", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        done = run_cell("setups", part_file, *_SMALL_SETUPS, "--proposals", "4", "--out", "made", cwd=folder, code=0)
         (folder / "stdout").write_text(done.stdout)
 
     return made_once("setups", make) / "made"
 
 
 @pytest.fixture(scope="session")
-def swept(
-    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Path:
+def swept(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return the run folder of a plan of sweeps with a mesh fixture. Files `stdout` and `stderr` are next to it."""
 
     def make(folder: Path) -> None:
@@ -387,8 +377,7 @@ def swept(
             *_SMALL_PLAN[-4:-2],
         )
         more = ("--coverage", "0.7", "--scene", "line.toml", "--out", "run", "--json")
-        done = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        done = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder, code=0)
         (folder / "stdout").write_text(done.stdout)
         (folder / "stderr").write_text(done.stderr)
 
@@ -411,37 +400,27 @@ def resealed() -> Callable[[Path], str]:
 
 
 @pytest.fixture(scope="session")
-def executed(
-    made_once: Callable[..., Path], planned: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Path:
+def executed(made_once: Callable[..., Path], planned: Path, run_cell: RunCommand) -> Path:
     """Return a copy of the planned run with a finished execution `0001` at 1 degree. `scan.json` is its JSON object."""
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "run")
         with _drawn():
-            done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder)
-        assert done.returncode == 0, done.stderr
+            done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder, code=0)
         (folder / "scan.json").write_text(done.stdout)
 
     return made_once("executed", make) / "run"
 
 
 @pytest.fixture(scope="session")
-def turned(
-    made_once: Callable[..., Path],
-    part_file: Path,
-    small_plan: tuple[str, ...],
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
-) -> Path:
+def turned(made_once: Callable[..., Path], part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand) -> Path:
     """Return a plan of the small part on a rotary table, with one execution."""
 
     def make(folder: Path) -> None:
-        done = run_cell(
-            "plan", part_file, "--units", "mm", *small_plan, "--table", "--out", "run", "--json", cwd=folder
+        run_cell(
+            "plan", part_file, "--units", "mm", *small_plan, "--table", "--out", "run", "--json", cwd=folder, code=0
         )
-        assert done.returncode == 0, done.stderr
-        done = run_cell("scan", "run", "--resolution", "1", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("scan", "run", "--resolution", "1", cwd=folder, code=0)
 
     return made_once("turned", make) / "run"
 
@@ -491,9 +470,7 @@ class Emulated:
 
 
 @contextlib.contextmanager
-def _emulating(
-    tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
-) -> Iterator[Callable[..., Emulated]]:
+def _emulating(tmp_path_factory: pytest.TempPathFactory, start_cell: StartCommand) -> Iterator[Callable[..., Emulated]]:
     started: list[Emulated] = []
 
     def start(*arguments: str, beside: Emulated | None = None) -> Emulated:
@@ -516,9 +493,7 @@ def _emulating(
 
 
 @pytest.fixture
-def emulate(
-    tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
-) -> Iterator[Callable[..., Emulated]]:
+def emulate(tmp_path_factory: pytest.TempPathFactory, start_cell: StartCommand) -> Iterator[Callable[..., Emulated]]:
     """Yield a function that starts `cell emulate`. With `beside`, it uses the state and the journal of an earlier one.
 
     Processes end with the test, because an idle controller polls its line fifty times a second.
@@ -529,7 +504,7 @@ def emulate(
 
 @pytest.fixture(scope="module")
 def emulate_for_all(
-    tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
+    tmp_path_factory: pytest.TempPathFactory, start_cell: StartCommand
 ) -> Iterator[Callable[..., Emulated]]:
     """Yield the same function as `emulate`, for all tests of a module."""
     with _emulating(tmp_path_factory, start_cell) as start:

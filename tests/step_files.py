@@ -1,7 +1,14 @@
 """STEP files (AP214) written by hand, for the tests: blocks with a round hole through them, and what lies beside."""
 
+import importlib.util
 from dataclasses import dataclass, field
 from math import pi
+
+import pytest
+
+needs_cascadio = pytest.mark.skipif(
+    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
+)
 
 _UNITS = {
     "mm": "(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))",

@@ -70,7 +70,7 @@ def triangles(content: bytes, folder: Path | None = None) -> tuple[Floats, Ints]
 
     Args:
         content: of the file.
-        folder: of a .gltf, for its buffers.
+        folder: of a .gltf, for its buffers; None for a GLB.
 
     Raises:
         GlbError: if it is broken or unsupported.
@@ -83,12 +83,12 @@ def primitives(content: bytes, folder: Path | None = None) -> Iterator[Primitive
 
     Args:
         content: of the file.
-        folder: of a .gltf, for its buffers.
+        folder: of a .gltf, for its buffers; None for a GLB.
 
     Raises:
         GlbError: if it is broken or unsupported.
     """
-    described, data = _json_file(content, folder) if content[:4] != b"glTF" else _chunks(content)
+    described, data = _chunks(content) if folder is None else _json_file(content, folder)
     required = described.get("extensionsRequired")
     for name in required if isinstance(required, list) else ():
         if not str(name).startswith(_EXTENSIONS):
@@ -135,7 +135,7 @@ def _colour(described: Table, material: Any) -> tuple[float, float, float] | Non
     return float(red), float(green), float(blue)
 
 
-def _json_file(content: bytes, folder: Path | None) -> tuple[Table, list[bytes]]:
+def _json_file(content: bytes, folder: Path) -> tuple[Table, list[bytes]]:
     """Return the scene description of a .gltf, and its buffers: base64, or files in its folder or below."""
     described = _description(decode(content))
     buffers = []
@@ -150,7 +150,7 @@ def _json_file(content: bytes, folder: Path | None) -> tuple[Table, list[bytes]]
                 raise GlbError("has a buffer that is not base64: export it again, or as GLB") from error
             continue
         name = PurePosixPath(unquote(uri))
-        if folder is None or name.is_absolute() or ".." in name.parts or ":" in uri:
+        if name.is_absolute() or ".." in name.parts or ":" in uri:
             raise GlbError(f"has its data at {uri[:60]}, outside its folder: export one file as GLB")
         try:
             buffers.append((folder / name).read_bytes())
@@ -161,7 +161,7 @@ def _json_file(content: bytes, folder: Path | None) -> tuple[Table, list[bytes]]
 
 def _chunks(content: bytes) -> tuple[Table, list[bytes]]:
     """Return the scene description and the binary data."""
-    if len(content) < 20:
+    if len(content) < 20 or content[:4] != b"glTF":
         raise GlbError("is not a binary glTF file (GLB): export the mesh again")
     length = struct.unpack_from("<I", content, 8)[0]
     if length > len(content):

@@ -82,7 +82,7 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         return check_mesh(str(path), solids.vertices, solids.faces)
     try:
         if suffix in (".glb", ".gltf"):
-            return check_mesh(str(path), *glb.triangles(content, path.parent))
+            return check_mesh(str(path), *glb.triangles(content, path.parent if suffix == ".gltf" else None))
         if suffix == ".3mf":
             return check_mesh(str(path), *three_mf.triangles(content))
         if suffix == ".stl":

@@ -95,7 +95,7 @@ def _header(text: str) -> tuple[str, list[_Table]]:
                     pass
                 case ["element", name, count]:
                     tables.append(_Table(name, int(count), []))
-                case ["property", "list", count_kind, kind, name]:
+                case ["property", "list", count_kind, kind, name] if not count_kind.startswith(("float", "double")):
                     tables[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count_kind]))
                 case ["property", kind, name]:
                     tables[-1].properties.append(_Property(name, _TYPES[kind]))
@@ -154,9 +154,9 @@ def _ascii_rows(table: _Table, numbers: Floats, at: int) -> tuple[Element, int]:
                 raise _cut_short(table)
             length = 1
             if each.count_kind:
-                length = int(numbers[at])
-                if not 0 <= length <= len(numbers) - at - 1 or length != numbers[at]:
+                if not 0 <= numbers[at] <= len(numbers) - at - 1 or numbers[at] % 1:
                     raise _cut_short(table)
+                length = int(numbers[at])
                 counts[each.name].append(length)
                 at += 1
             starts[each.name].append(at)

@@ -6,8 +6,10 @@ from the rows, or geometry that is not supported is an error with its line, neve
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.part.ply_elements import Element, PlyError, read_elements
 from cell.part.polygons import PolygonError, PolygonMesh
@@ -50,9 +52,7 @@ def read_obj(content: bytes) -> PolygonMesh:
     if any("/" in line for line in words):
         words = [re.sub(r"/\S*", "", line) for line in words]
     numbers, counts = _table(words, of_faces)
-    if (numbers % 1 != 0).any():
-        raise PolygonError("has a face with an index that is not an integer; export the mesh again")
-    corners = numbers.astype(np.int64)
+    corners = _indices(numbers)
     face_of = np.repeat(np.arange(len(counts)), counts)
     line_of = np.array(of_faces, np.int64)[face_of]
     before = np.searchsorted(np.array(of_vertices, np.int64), line_of)
@@ -93,7 +93,7 @@ def read_off(content: bytes) -> PolygonMesh:
             filled.pop(0)
             head = lines[filled[0]].split() if filled else []
     counts, _ = _table([" ".join(head)], filled[:1] or [0])
-    if len(counts) < 2 or (counts < 0).any() or (counts % 1 != 0).any():
+    if len(counts) < 2 or (counts < 0).any() or not _are_integers(counts):
         raise PolygonError("does not announce its numbers of vertices and faces; export the mesh again")
     n_vertices, n_faces = int(counts[0]), int(counts[1])
     rows = filled[1:]
@@ -112,14 +112,14 @@ def read_off(content: bytes) -> PolygonMesh:
     vertices = numbers[starts[:, None] + np.arange(3)] if n_vertices else np.zeros((0, 3))
     numbers, widths = _table([lines[k] for k in of_faces], of_faces)
     starts = np.cumsum(widths) - widths
-    sizes = numbers[starts].astype(np.int64) if n_faces else np.zeros(0, np.int64)
+    sizes = _indices(numbers[starts]) if n_faces else np.zeros(0, np.int64)
     short = (sizes < 3) | (sizes > widths - 1)
     if short.any():
         raise PolygonError(
             f"has a face without the corners that it announces, line {of_faces[int(np.argmax(short))] + 1}"
         )
     corners = numbers[np.repeat(starts + 1 - (np.cumsum(sizes) - sizes), sizes) + np.arange(int(sizes.sum()))]
-    mesh = PolygonMesh(vertices, corners.astype(np.int64), sizes)
+    mesh = PolygonMesh(vertices, _indices(corners), sizes)
     extra = widths - 1 - sizes
     if n_faces and (extra >= 3).all():
         colours = numbers[(starts + 1 + sizes)[:, None] + np.arange(3)]
@@ -146,7 +146,7 @@ def read_ply(content: bytes) -> PolygonMesh:
             names = [name for name in ("vertex_indices", "vertex_index") if name in face.lists]
             if not names:
                 raise PlyError("has faces without a list of vertex indices; export it again")
-            counts, corners = face.lists[names[0]][0], face.lists[names[0]][1].astype(np.int64)
+            counts, corners = face.lists[names[0]][0], _indices(face.lists[names[0]][1])
         colours = _ply_colours(face) if face.count else None
         strips = elements.get("tristrips", Element(0))
         if strips.count:
@@ -174,11 +174,11 @@ def _ply_colours(element: Element) -> Floats | None:
     return colours * 255 if is_share else colours
 
 
-def _strip_triangles(lengths: Ints, values: Ints) -> Ints:
+def _strip_triangles(lengths: Ints, values: NDArray[Any]) -> Ints:
     """Return the triangles (F, 3) of strips; -1 ends a strip, and every second triangle has the opposite winding."""
     triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
     row = np.repeat(np.arange(len(lengths)), lengths)
-    values = values.astype(np.int64)
+    values = _indices(values)
     for number in range(len(lengths)):
         own = values[row == number]
         for strip in np.split(own, np.flatnonzero(own == -1)):
@@ -188,6 +188,22 @@ def _strip_triangles(lengths: Ints, values: Ints) -> Ints:
                 three[1::2] = three[1::2, [1, 0, 2]]
                 triangles.append(three)
     return np.concatenate(triangles)
+
+
+def _are_integers(numbers: NDArray[Any]) -> bool:
+    """Return whether all numbers are integers that a double represents exactly, none of them NaN or infinity."""
+    return bool((np.abs(numbers) < 2**53).all()) and not (numbers % 1).any()
+
+
+def _indices(numbers: NDArray[Any]) -> Ints:
+    """Return numbers of faces as integers.
+
+    Raises:
+        PolygonError: if one is not an integer.
+    """
+    if not _are_integers(numbers):
+        raise PolygonError("has a face with a number that is not an integer; export the mesh again")
+    return numbers.astype(np.int64)
 
 
 def _table(rows: Sequence[str], line_of: Sequence[int]) -> tuple[Floats, Ints]:

@@ -432,11 +432,11 @@ def _select(
         robust = robust_cover(cover_problem, request.layer.restricted_to(M), alpha=plan.alpha, rng=rng)
         return Selection(robust.cover, request.targets, robust.sentence, robust)
     if not request.is_evaluated:  # the coverage refers to the samples of the matrix alone
-        return _cover(request, cover_problem, request.targets, rng, cover.DEFAULT_EFFORT, start)
+        return _cover(request, cover_problem, request.targets, rng, effort.cover_work, start)
 
     def solve(targets: Floats, work: int, start: Selection | None) -> Selection:
         is_short = request.is_probed or (request.costs is not None and start is not None)
-        found = _cover(request, cover_problem, targets, rng, work if is_short else cover.DEFAULT_EFFORT, start)
+        found = _cover(request, cover_problem, targets, rng, work if is_short else effort.cover_work, start)
         poses = problem.candidates.T_object_scanner[found.cover.views]
         if request.regions is None:
             return replace(found, shares=np.array([problem.prediction.share_of_coverable(poses)]))

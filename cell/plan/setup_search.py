@@ -268,7 +268,7 @@ class SetupSearch:
         With as many set-ups, only views that connect scans make a difference.
         """
         problem = self._request.cover_problem(self._M, self._usable)
-        other = fewest_views(problem, found.targets, self._rng)
+        other = fewest_views(problem, found.targets, self._rng, self._session.effort.cover_work)
         saves = other is not None and other[0] > len(found.views) and other[1] < found.n_views
         return other if saves else None
 
@@ -301,6 +301,7 @@ class SetupSearch:
         return solve_grouped(
             self._request.cover_problem(self._M, self._usable), self._targets, self._rng, max_groups=options.max_setups,
             group_cost=options.setup_s, solver=self._request.request.plan.solver, fast=fast, start=start,
+            effort_budget=self._session.effort.cover_work,
         )  # fmt: skip
 
     def _views(self, found: GroupedCover) -> dict[int, Ints]:

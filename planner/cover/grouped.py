@@ -168,6 +168,7 @@ def solve_grouped(
     solver: str = "auto",
     fast: bool = False,
     start: Mapping[int, Ints] | None = None,
+    effort_budget: int | None = None,
 ) -> GroupedCover:
     """Find the fewest groups, then the fewest or cheapest views; or the most area for a limited number of views.
 
@@ -180,6 +181,7 @@ def solve_grouped(
         solver: a name in `planner.cover.SOLVERS`.
         fast: whether a short search is enough; its bound holds for the choices of groups that it covered.
         start: columns of each group from which the search begins if a choice has all these groups.
+        effort_budget: effort of each search, `DEFAULT_EFFORT` if None.
     """
     loads, group = GroupLoads(problem, targets), np.asarray(problem.group)
     first = np.searchsorted(group, np.arange(loads.n_groups))
@@ -190,7 +192,7 @@ def solve_grouped(
     if not is_feasible:
         loads.wanted = np.minimum(loads.wanted, min(reached, key=loads.deficit))
     known = np.concatenate([first[row] + views for row, views in start.items()]) if start else np.empty(0, np.int64)
-    covers = _GroupCovers(problem, loads, rng, solver)
+    covers = _GroupCovers(problem, loads, rng, solver, effort_budget)
     largest = sorted(zip(choices, reached, strict=True), key=lambda each: -float(each[1].sum()))
     found, bound = covers.best_of([choice for choice, _ in largest], known, is_complete=is_complete, fast=fast)
     if group_cost is not None:
@@ -215,12 +217,14 @@ def solve_grouped(
     )
 
 
-def fewest_views(problem: CoverProblem, targets: Floats, rng: np.random.Generator) -> tuple[int, int] | None:
+def fewest_views(
+    problem: CoverProblem, targets: Floats, rng: np.random.Generator, effort_budget: int | None = None
+) -> tuple[int, int] | None:
     """Return numbers of groups and views by a short search for the fewest views.
 
     None if views have costs or a limit, must overlap, or rows have weights or regions.
     """
-    covers = _GroupCovers(problem, GroupLoads(problem, targets), rng, "auto")
+    covers = _GroupCovers(problem, GroupLoads(problem, targets), rng, "auto", effort_budget)
     if problem.costs is not None or not covers.allow_group_costs:
         return None
     found = covers.solve(np.asarray(problem.allowed), FAST_SHARE, group_cost=_VIEWS_FIRST_GROUP_COST)
@@ -298,10 +302,13 @@ class _Bound:
 class _GroupCovers:
     """Covers of a problem by the columns of selected groups."""
 
-    def __init__(self, problem: CoverProblem, loads: GroupLoads, rng: np.random.Generator, solver: str) -> None:
+    def __init__(
+        self, problem: CoverProblem, loads: GroupLoads, rng: np.random.Generator, solver: str, effort_budget: int | None
+    ) -> None:
         self._problem, self._loads, self._rng, self._solver = problem, loads, rng, solver
         is_hard = problem.overlap is not None or problem.max_views is not None
-        self._budget = DEFAULT_EFFORT * (3 if is_hard else 1)  # as for one plan
+        self._bound_budget = DEFAULT_EFFORT if effort_budget is None else effort_budget
+        self._budget = self._bound_budget * (3 if is_hard else 1)  # as for one plan
         self._group, self._allowed = np.asarray(problem.group), np.asarray(problem.allowed)
         costs = problem.costs
         self._costs = np.ones(len(self._group)) if costs is None else np.asarray(costs, dtype=np.float64)
@@ -401,7 +408,7 @@ class _GroupCovers:
             group_costs=None if group_cost is None else np.full(loads.n_groups, group_cost),
         )  # fmt: skip
         begin = np.searchsorted(some, start) if start is not None and len(start) and columns[start].all() else None
-        solver, budget = ("exact", DEFAULT_EFFORT) if bound_only else (self._solver, self._budget)
+        solver, budget = ("exact", self._bound_budget) if bound_only else (self._solver, self._budget)
         found = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
         return replace(found, views=some[found.views])
 

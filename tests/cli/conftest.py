@@ -37,7 +37,7 @@ class Chromium:
         )  # fmt: skip
         os.close(listens), os.close(speaks)
         self._number, self._rest, self._session, self._address = 0, b"", "", ""
-        self._told: list[dict[str, Any]] = []
+        self._messages: list[dict[str, Any]] = []
 
     def open(self, address: str) -> None:
         """Load a page."""
@@ -46,10 +46,10 @@ class Chromium:
             self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
             for domain in ("Network", "Runtime", "Log", "Page"):
                 self._ask(f"{domain}.enable")
-        self._told, self._address = [], address
+        self._messages, self._address = [], address
         self._ask("Page.navigate", url=address)
         while not self._of("Page.loadEventFired"):
-            self._told.append(self._read())
+            self._messages.append(self._read())
 
     def run(self, script: str) -> Any:
         """Return the value with which the promise of a script is fulfilled."""
@@ -73,16 +73,18 @@ class Chromium:
         for kind in ("mousePressed", "mouseReleased"):
             self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def asked(self) -> list[str]:
+    def requests(self) -> list[str]:
         """Return the addresses that the page requested."""
-        urls = [told["request"]["url"] for told in self._of("Network.requestWillBeSent")]
+        urls = [words["request"]["url"] for words in self._of("Network.requestWillBeSent")]
         return [url for url in urls if url != self._address and not url.startswith("data:")]
 
     def faults(self) -> list[str]:
         """Return the errors and console messages of the page."""
-        found = [str(told) for name in ("exceptionThrown", "consoleAPICalled") for told in self._of(f"Runtime.{name}")]
+        found = [
+            str(words) for name in ("exceptionThrown", "consoleAPICalled") for words in self._of(f"Runtime.{name}")
+        ]
         # A software renderer warns that reading pixels is slow.
-        logged = [told["entry"]["text"] for told in self._of("Log.entryAdded")]
+        logged = [words["entry"]["text"] for words in self._of("Log.entryAdded")]
         return found + [text for text in logged if "GPU stall due to ReadPixels" not in text]
 
     def close(self) -> None:
@@ -92,16 +94,18 @@ class Chromium:
         os.close(self._to), os.close(self._from)
 
     def _of(self, method: str) -> list[dict[str, Any]]:
-        return [told["params"] for told in self._told if told["method"] == method]
+        return [words["params"] for words in self._messages if words["method"] == method]
 
     def _ask(self, method: str, **params: object) -> dict[str, Any]:
         self._number += 1
-        said = {"id": self._number, "method": method, "params": params}
-        os.write(self._to, json.dumps(said | ({"sessionId": self._session} if self._session else {})).encode() + b"\0")
-        while (told := self._read()).get("id") != self._number:
-            self._told.append(told)
-        assert "error" not in told, told
-        answer: dict[str, Any] = told["result"]
+        output = {"id": self._number, "method": method, "params": params}
+        os.write(
+            self._to, json.dumps(output | ({"sessionId": self._session} if self._session else {})).encode() + b"\0"
+        )
+        while (words := self._read()).get("id") != self._number:
+            self._messages.append(words)
+        assert "error" not in words, words
+        answer: dict[str, Any] = words["result"]
         return answer
 
     def _read(self) -> dict[str, Any]:
@@ -111,8 +115,8 @@ class Chromium:
             assert content, "Chromium says nothing"
             self._rest += content
         message, _, self._rest = self._rest.partition(b"\0")
-        told: dict[str, Any] = json.loads(message)
-        return told
+        words: dict[str, Any] = json.loads(message)
+        return words
 
 
 class Firefox:
@@ -137,8 +141,8 @@ class Firefox:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(screen)
-        with os.fdopen(shown) as told:
-            display = f":{told.readline().strip()}"
+        with os.fdopen(shown) as words:
+            display = f":{words.readline().strip()}"
         self._process = subprocess.Popen(
             [str(self.program), "--marionette", "--remote-allow-system-access", "--no-remote", "--profile",
              str(profile)],
@@ -150,24 +154,24 @@ class Firefox:
         self._ask("WebDriver:NewSession")
         self._ask("WebDriver:SetTimeouts", script=int(1000 * _PATIENCE_S))
         self._in_chrome(
-            "window.asked = []; Services.obs.addObserver((request) => { request.QueryInterface(Ci.nsIChannel);"
-            "if (!request.loadInfo.triggeringPrincipal.isSystemPrincipal) window.asked.push(request.URI.spec); },"
+            "window.requests = []; Services.obs.addObserver((request) => { request.QueryInterface(Ci.nsIChannel);"
+            "if (!request.loadInfo.triggeringPrincipal.isSystemPrincipal) window.requests.push(request.URI.spec); },"
             "'http-on-modify-request');"
         )
 
     def open(self, address: str) -> None:
         """Load a page."""
-        self._in_chrome("window.asked.length = 0; Services.console.reset();")
+        self._in_chrome("window.requests.length = 0; Services.console.reset();")
         self._ask("WebDriver:Navigate", url=address)
 
     def run(self, script: str) -> Any:
         """Return the value with which the promise of a script is fulfilled."""
-        said = (  # run as an element of the page: the constants of the page are not visible otherwise
+        output = (  # run as an element of the page: the constants of the page are not visible otherwise
             "const [text, done] = arguments, made = document.createElement('script');"
             "made.textContent = `answer = ${text}`; document.head.append(made);"
             "window.answer.then((found) => done([found]), (error) => done(`${error}`));"
         )
-        answer = self._ask("WebDriver:ExecuteAsyncScript", script=said, args=[script], sandbox=None)
+        answer = self._ask("WebDriver:ExecuteAsyncScript", script=output, args=[script], sandbox=None)
         assert isinstance(answer["value"], list), answer
         return answer["value"][0]
 
@@ -181,15 +185,17 @@ class Firefox:
                  {"type": "pointerUp", "button": 0}]  # fmt: skip
         self._ask("WebDriver:PerformActions", actions=[{"type": "pointer", "id": "mouse", "actions": moves}])
 
-    def asked(self) -> list[str]:
+    def requests(self) -> list[str]:
         """Return the addresses that the page requested."""
-        asked: list[str] = self._in_chrome("return window.asked;")
-        return asked
+        requests: list[str] = self._in_chrome("return window.requests;")
+        return requests
 
     def faults(self) -> list[str]:
         """Return the messages about pages. Messages about the scripts of the browser are left out."""
-        told = self._in_chrome("return Services.console.getMessageArray().map((each) => [each.sourceName, `${each}`]);")
-        return [text for source, text in told if source and source.startswith("file:")]
+        words = self._in_chrome(
+            "return Services.console.getMessageArray().map((each) => [each.sourceName, `${each}`]);"
+        )
+        return [text for source, text in words if source and source.startswith("file:")]
 
     def close(self) -> None:
         """End the processes of the browser and of the screen."""
@@ -217,8 +223,8 @@ class Firefox:
 
     def _ask(self, method: str, **params: object) -> dict[str, Any]:
         self._number += 1
-        said = json.dumps([0, self._number, method, params]).encode()
-        self._line.sendall(b"%d:%b" % (len(said), said))
+        output = json.dumps([0, self._number, method, params]).encode()
+        self._line.sendall(b"%d:%b" % (len(output), output))
         _, number, error, result = self._read()
         assert (number, error) == (self._number, None), error
         answer: dict[str, Any] = result
@@ -239,7 +245,7 @@ class Firefox:
         self._rest += content
 
 
-@pytest.fixture(scope="module", params=[Chromium, Firefox])
+@pytest.fixture(scope="module", params=[Chromium, pytest.param(Firefox, marks=pytest.mark.slow)])
 def browser(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium | Firefox]:
     """Yield each installed browser."""
     if request.param.missing:

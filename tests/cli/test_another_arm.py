@@ -2,11 +2,9 @@
 
 import json
 import re
-import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,6 +25,7 @@ from cell.scan.emulator import load_arm
 from cell.scan.execution import plan_execution
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
+from tests.support.fixture_types import Emulate, RunCommand
 
 TORQUES = [900, 1500, 450, 70, 75, 25]
 LOWER, UPPER = [-95, -155, -130, -300, -125, -300], [95, 35, 154, 345, 128, 345]
@@ -37,9 +36,7 @@ CHANGES = {
 
 
 @pytest.fixture(scope="module")
-def other(
-    tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Iterator[Path]:
+def other(tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: RunCommand) -> Iterator[Path]:
     """Yield the run folder of a plan for that arm, which replaces the robot of this process meanwhile."""
     folder = tmp_path_factory.mktemp("other")
     text = model_file("kr16.xml").read_text(encoding="utf-8")
@@ -48,21 +45,17 @@ def other(
         text = text.replace(old, new)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(robot, "spec", lambda: mujoco.MjSpec.from_string(text))
-        done = run_cell(
+        run_cell(
             "plan", part_file, "--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2",
             "--standoff", "250", "--candidates", "optimal-scanning-zone", "--coverage", "0.5", "--out", "run",
-            cwd=folder,
+            cwd=folder, code=0,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
         yield folder / "run"
 
 
-def test_planning_driving_and_export_use_its_limits(
-    other: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
+def test_planning_driving_and_export_use_its_limits(other: Path, run_cell: RunCommand) -> None:
     """The simulated controller takes the planned time, and exported programs have the ranges."""
-    done = run_cell("scan", other, "--resolution", "2", cwd=other)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", other, "--resolution", "2", cwd=other, code=0)
     planned = json.loads((other / "report.json").read_text())["motion"]["duration_s"]
     moving = json.loads((other / "executions" / "0001" / "manifest.json").read_text())["motion_s"]
     assert moving == pytest.approx(planned, abs=1e-3)
@@ -74,7 +67,7 @@ def test_planning_driving_and_export_use_its_limits(
 
 
 def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
-    other: Path, emulate: Callable[..., Any], run_cell: Callable[..., subprocess.CompletedProcess[str]]
+    other: Path, emulate: Emulate, run_cell: RunCommand
 ) -> None:
     """`cell emulate --run` runs in a process with the built-in arm only. The plan is executed over its wire."""
     limits = load_arm(other, "ideal").limits
@@ -84,8 +77,7 @@ def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
     url = emulate("modbus", "--run", str(other), "--time-scale", "1000").url
     digest = json.loads((other / "manifest.json").read_text())["digest"]
     word = ("--driver", url, "--accept-time-scale", "1000", "--speed", "1", "--confirm-motion", digest)
-    done = run_cell("scan", other, "--resolution", "2", *word, cwd=other)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", other, "--resolution", "2", *word, cwd=other, code=0)
 
 
 def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_moves(other: Path) -> None:

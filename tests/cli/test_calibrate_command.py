@@ -1,9 +1,7 @@
 """`cell calibrate hand-eye`: scans and poses from files, lines for the scene file, insufficient sets."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.hand_eye import _ball, _flange, _mount, corners
 from cell.scene.file import load_scene
 from planner.kinematics.frames import kuka_abc_from_pose
-
-Run = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +28,12 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_mount_as_lines_of_a_scene_file(run_cell: Run, scans: Path, tmp_path: Path) -> None:
+def test_the_mount_as_lines_of_a_scene_file(run_cell: RunCommand, scans: Path, tmp_path: Path) -> None:
     """Both sources of poses give one mount, to 0.1 mm and 0.04 deg. The printed lines are valid in a scene file."""
     files = sorted(scans.glob("*.xyz"))
-    beside = run_cell("calibrate", "hand-eye", *files, "--points-units", "mm", "--diameter", "38.1", cwd=tmp_path)
-    assert beside.returncode == 0, beside.stderr
+    beside = run_cell(
+        "calibrate", "hand-eye", *files, "--points-units", "mm", "--diameter", "38.1", cwd=tmp_path, code=0
+    )
     text = beside.stdout[beside.stdout.index("[mount]") :]
     (tmp_path / "scene.toml").write_text(text)
     T = load_scene(tmp_path / "scene.toml").mount.T
@@ -56,10 +54,10 @@ def test_the_mount_as_lines_of_a_scene_file(run_cell: Run, scans: Path, tmp_path
     assert len(found["scans"]) == 12
 
 
-def test_what_cannot_say_a_mount(run_cell: Run, scans: Path, tmp_path: Path) -> None:
+def test_insufficient_scans_are_refused(run_cell: RunCommand, scans: Path, tmp_path: Path) -> None:
     """Insufficient scans and invalid options have exit code 2 with a message. Unreadable files have 6."""
     files = sorted(scans.glob("*.xyz"))
-    for words, code, told in (
+    for words, code, message in (
         ((*files[:3], "--points-units", "mm"), 2, "at least 5"),
         (files, 2, "--points-units is missing"),
         ((*files, "--points-units", "mm", "--target", "plane", "--diameter", "3"), 2, "is for a sphere"),
@@ -68,13 +66,12 @@ def test_what_cannot_say_a_mount(run_cell: Run, scans: Path, tmp_path: Path) -> 
         ((*files, tmp_path / "gone.ply", "--points-units", "mm"), 6, "cannot be read"),
     ):
         done = run_cell("calibrate", "hand-eye", *words, cwd=tmp_path)
-        assert (done.returncode, told in done.stderr) == (code, True), done.stderr
+        assert (done.returncode, message in done.stderr) == (code, True), done.stderr
     rows = (scans / "poses.csv").read_text().splitlines()
     (tmp_path / "one.csv").write_text("\n".join([rows[1]] * 6))
     same = [files[0]] * 6
     done = run_cell(
-        "calibrate", "hand-eye", *same, "--points-units", "mm", "--poses", tmp_path / "one.csv", cwd=tmp_path
+        "calibrate", "hand-eye", *same, "--points-units", "mm", "--poses", tmp_path / "one.csv", cwd=tmp_path, code=2
     )
-    assert done.returncode == 2
     assert "do not determine the mount" in done.stderr
     assert "[mount]" not in done.stdout

@@ -17,49 +17,45 @@ from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.world.prediction import held_out_samples
 from planner.measurability import coverage
-
-Cell = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
 def other(
-    made_once: Callable[..., Path], planned: Path, part_file: Path, small_plan: tuple[str, ...], run_cell: Cell
+    made_once: Callable[..., Path], planned: Path, part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand
 ) -> Path:
     """Return a plan of the small part with one view's candidate banned and a slower arm."""
 
     def make(folder: Path) -> None:
         banned = open_finished(planned).plan.views[1].id
         options = (*small_plan, "--ban", banned, "--speed", "0.5", "--out", "run", "--json")
-        done = run_cell("plan", part_file, "--units", "mm", *options, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("plan", part_file, "--units", "mm", *options, cwd=folder, code=0)
 
     return made_once("planned_otherwise", make) / "run"
 
 
-def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The output is one sentence for a plan and for an execution. In JSON the lists of differences are empty."""
     execution = executed / "executions" / "0001"
     for run in (executed, execution):
         done = run_cell("diff", run, run, cwd=tmp_path)
         assert (done.returncode, done.stdout) == (0, "nothing differs\n"), done.stderr
-    said = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
-    assert said["kind"] == "execution"
-    views = said["views"]
-    assert [said["settings"], said["numbers"], views["similar"], views["only_a"], views["only_b"]] == [
-        [], [], [], [], [],
-    ]  # fmt: skip
-    assert said["surface"]["only_b_mm2"] == said["surface"]["only_a_mm2"] == 0
+    output = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
+    assert output["kind"] == "execution"
+    views = output["views"]
+    assert [output["settings"], output["numbers"], views["similar"], views["only_a"], views["only_b"]] == [[]] * 5
+    assert output["surface"]["only_b_mm2"] == output["surface"]["only_a_mm2"] == 0
 
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_settings_views_and_areas_of_two_plans(
-    planned: Path, other: Path, run_cell: Cell, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
+    planned: Path, other: Path, run_cell: RunCommand, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
     """Only the changed settings are listed. Each view occurs once on each side. Areas and page match the artefacts."""
-    said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
-    assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
+    output = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
+    assert {each["key"] for each in output["settings"]} == {"speed_scaling", "plan.banned"}
     a, b = open_finished(planned), open_finished(other)
-    views = said["views"]
+    views = output["views"]
     moved = [(each["a"], each["b"]) for each in views["similar"]]
     assert sorted([i for i, _ in (*views["equal"], *moved)] + views["only_a"]) == list(range(1, len(a.plan.views) + 1))
     assert sorted([j for _, j in (*views["equal"], *moved)] + views["only_b"]) == list(range(1, len(b.plan.views) + 1))
@@ -75,10 +71,10 @@ def test_settings_views_and_areas_of_two_plans(
         for run in (a, b)
     ]
     lost, gained = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
-    assert (said["surface"]["only_a_mm2"], said["surface"]["only_b_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
-    told = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
-    assert "speed_scaling" in told
-    assert "that A measures." in told
+    assert (output["surface"]["only_a_mm2"], output["surface"]["only_b_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
+    message = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
+    assert "speed_scaling" in message
+    assert "that A measures." in message
     data = data_of((tmp_path / "diff.html").read_text(encoding="utf-8"))
     names = [view["number"] for view in data["views"]]
     assert names == [*(str(k + 1) for k in range(len(b.plan.views))), *(f"A{k}" for k in views["only_a"])]
@@ -89,11 +85,11 @@ def test_settings_views_and_areas_of_two_plans(
     (layer,) = data["surfaces"][0]["layers"]
     shares = [float(re.search(r"\((.*)\u00a0%\)", name)[1]) for name, _ in layer["named"]]  # type: ignore[index] # as written
     expected = [1e6 * samples.areas[mask].sum() for mask in (seen[0] & seen[1], ~seen[0] & ~seen[1])] + [lost, gained]
-    np.testing.assert_allclose(shares, 100 * np.array(expected) / said["surface"]["area_mm2"], atol=0.006)
+    np.testing.assert_allclose(shares, 100 * np.array(expected) / output["surface"]["area_mm2"], atol=0.006)
     assert np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8).max() < 4
 
 
-def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The gained area in one direction is the lost area in the other direction."""
     one, back = (
         json.loads(run_cell("diff", *pair, "--json", cwd=tmp_path).stdout)
@@ -106,15 +102,15 @@ def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cel
     assert [(n["a"], n["b"]) for n in one["numbers"]] == [(n["b"], n["a"]) for n in back["numbers"]]
 
 
-def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_areas_of_executions_are_areas_near_points(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """An execution with one view measures less of the surface. The loss is recounted from the two clouds."""
     shutil.copytree(executed, tmp_path / "run")
     done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
     whole, one = (tmp_path / "run" / "executions" / number for number in ("0001", "0002"))
-    said = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
-    assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in said["settings"]]
-    assert said["views"]["equal"] == [[1, 1]]
+    output = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
+    assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in output["settings"]]
+    assert output["views"]["equal"] == [[1, 1]]
     run = open_finished(executed)
     reference, planning = (run.mesh(name) for name in ("reference.ply", "planning.ply"))
     samples = held_out_samples(reference, planning, run.seed)
@@ -123,11 +119,11 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
         points = ply.positions(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])
         distance, _ = cKDTree(points).query(samples.points)
         near.append(distance <= coverage.sampling_radius(reference))
-    assert said["surface"]["only_a_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
-    assert said["surface"]["only_b_mm2"] == 0
+    assert output["surface"]["only_a_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
+    assert output["surface"]["only_b_mm2"] == 0
 
 
-def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A plan against an execution has exit code 2, a folder that does not exist has 6, each with one line on stderr."""
     mixed = run_cell("diff", executed, executed / "executions" / "0001", cwd=tmp_path)
     assert (mixed.returncode, mixed.stderr.count("\n")) == (2, 1)

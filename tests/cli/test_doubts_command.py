@@ -1,20 +1,19 @@
 """Notes of `cell plan` and `cell scan` on settings and data beyond the tested range (docs/internals/stability.md)."""
 
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 def test_a_coarse_mesh_a_steep_limit_and_a_sparse_scan_have_notes(
-    part_file: Path, run_cell: Run, tmp_path: Path
+    part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """Three notes are on stderr, and plan and execution are made."""
     (tmp_path / "cell.toml").write_text("[scanner]\ngrazing_max_deg = 85\n")
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--scene", "cell.toml", "--place", "1100,400,100", "--faces", "12",
-        "--samples", "2", "--standoff", "250", "--coverage", "0.5", "--out", "run", "--json", cwd=tmp_path,
+        "--samples", "2", "--standoff", "250", "--coverage", "0.5",
+        "--candidates", "optimal-scanning-zone", "--out", "run", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode in (0, 3), done.stderr
     assert "note: scanner.grazing_max_deg is 85" in done.stderr

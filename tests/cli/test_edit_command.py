@@ -1,46 +1,41 @@
 """`cell edit` on the command line: the new run, its gains and losses, exit codes."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-Cell = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
-def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_a_dropped_view_and_its_repair(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The table ends with gains, losses and a command to copy. The JSON object has the difference. RUN is unchanged."""
     before = {path: path.read_bytes() for path in planned.iterdir() if path.is_file()}
     views = len(json.loads((planned / "plan.json").read_text())["views"])
-    done = run_cell("edit", planned, "--drop", "2", "--out", "without", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("edit", planned, "--drop", "2", "--out", "without", cwd=tmp_path, code=0)
     text = " ".join(done.stdout.replace("│", " ").split())
     assert f"{views - 1} views instead of {views}" in text
     assert "loses" in text
     assert "cell edit without --repair" in text
-    done = run_cell("edit", "without", "--repair", "--keep-order", "--out", "repaired", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert said["against"]["views"]["only_a"] == []
-    assert len(said["against"]["views"]["only_b"]) == 1
-    assert said["against"]["surface"]["only_b_mm2"] > 0
+    done = run_cell("edit", "without", "--repair", "--keep-order", "--out", "repaired", "--json", cwd=tmp_path, code=0)
+    output = json.loads(done.stdout)
+    assert output["against"]["views"]["only_a"] == []
+    assert len(output["against"]["views"]["only_b"]) == 1
+    assert output["against"]["surface"]["only_b_mm2"] > 0
     assert {path: path.read_bytes() for path in planned.iterdir() if path.is_file()} == before
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "code", "message"),
     [
         (("--drop", "99"), 2, "drop names view 99; the plan has the views 1 to "),
         (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be used: it is out of the arm's reach"),
     ],
 )
 def test_refusals_have_a_sentence_and_a_code(
-    options: tuple[str, ...], code: int, told: str, planned: Path, run_cell: Cell, tmp_path: Path
+    options: tuple[str, ...], code: int, message: str, planned: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """A refused edit reports its cause and exit code, and leaves no finished folder."""
-    done = run_cell("edit", planned, *options, "--out", "edited", cwd=tmp_path)
-    assert done.returncode == code
-    assert told in done.stderr
+    done = run_cell("edit", planned, *options, "--out", "edited", cwd=tmp_path, code=code)
+    assert message in done.stderr
     assert not (tmp_path / "edited").exists()

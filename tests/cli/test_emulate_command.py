@@ -5,12 +5,9 @@ import sys
 
 import pytest
 
-from cell.robot import model as robot
 from drivers.errors import DriverUrlError
-from drivers.limits import Limits
 from drivers.registry import Context, open_driver
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import base64
 import json
 import re
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,11 @@ from scipy.spatial import cKDTree
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
 from cell.explore import explore, state
-from cell.explore import stage as stage_plan
 from cell.explore.belief import GroundTruth, continue_surface
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import ExplorationContext, prepare_exploration
 from cell.explore.stage import StopReason
 from cell.part import workpiece
-from cell.plan.selection import SelectionProblem
 from cell.runs import ply, schema
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
@@ -35,7 +32,7 @@ from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery
 from planner.measurability.visibility import find_measured
-from planner.viewpoints import growth
+from tests.support.fixture_types import RunCommand
 
 PLACE = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
@@ -45,26 +42,23 @@ OPTIONS = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "2", "--max-
 
 
 @pytest.fixture(scope="module")
-def explored(
-    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Path:
+def explored(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return a finished exploration of the small part. Tests must not change it."""
 
     def make(folder: Path) -> None:
         command = ("explore", part_file, "--units", "mm", *OPTIONS, "--out", "explored", "--json")
-        done = run_cell(*command, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        done = run_cell(*command, cwd=folder, code=0)
         (folder / "stdout").write_text(done.stdout)
 
     return made_once("explored", make) / "explored"
 
 
-def test_the_file_says_what_was_done(explored: Path) -> None:
+def test_the_file_describes_the_executed_stages(explored: Path) -> None:
     """Stages, digests and views of explore.json are those of the run folders. The printed JSON equals the file."""
     file = schema.read_explore_file(explored / "explore.json")
     assert (file.status, file.views) == ("finished", 5)
     assert [stage.views for stage in file.batches] == [3, 2]
-    assert "5 views of the budget" in file.stop_reason
+    assert "budget of 5 views" in file.stop_reason
     for stage in file.batches:
         run = open_finished(explored / stage.folder)
         assert stage.digest == run.digest
@@ -80,49 +74,18 @@ def test_the_file_says_what_was_done(explored: Path) -> None:
     assert (explored / "report.md").read_text().count("stages/000") == 2
 
 
-def test_views_are_moved_to_where_they_measure_more(
-    part_file: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """Refined candidates are stored with pose, joint angles and the rows that they measure. A selected view is one.
-
-    They start from grown candidates. Growth is brief on the believed surface and as long as in `cell plan` on the
-    measured surface.
-    """
-    before, better = list[int](), stage_plan.with_refined_candidates
-    schedules, grow, believed = list[Any](), stage_plan.with_grown, explore._plan_on_belief
-
-    def counted(*asked: Any, schedule: Any) -> Any:
-        schedules.append(schedule)
-        return grow(*asked, schedule=schedule)
-
-    def measured_at_last(work: ExplorationContext, file: ExploreFile, known: Any, batch: Any) -> Path:
-        return (explore._plan_on_measured if len(file.batches) == 2 else believed)(work, file, known, batch)
-
-    def with_better(problem: SelectionProblem, *asked: Any) -> SelectionProblem:
-        before.append(len(problem.candidates))
-        return better(problem, *asked)
-
-    monkeypatch.setattr(stage_plan, "with_refined_candidates", with_better)
-    monkeypatch.setattr(stage_plan, "with_grown", counted)
-    monkeypatch.setattr(explore, "_plan_on_belief", measured_at_last)
-    grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
-    done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert schedules[:3] == [growth.SCHEDULE[:2], growth.SCHEDULE[:2], growth.SCHEDULE]
-    moved = 0
-    for folder, known in zip(("0002", "0003"), before, strict=True):
-        run = open_finished(tmp_path / "explored" / "stages" / folder)
-        M, candidates, cell = run.measurability, run.candidates, read_cell(run)
-        assert known < len(candidates) == len(run.reach) == M.shape[1] <= known + stage_plan.N_STARTS
-        (view,) = run.plan.views
-        moved += view.id >= known
-        for number in (view.id, *range(known, len(candidates))):
-            casters = (cell.part_caster, cell.occluder_caster)
-            sees = find_measured(candidates.T_object_scanner[[number]], M.samples, cell.scanner, casters)
-            assert np.array_equal(M.matrix()[:, [number]].toarray()[:, 0] > 0, sees)
-        assert len(np.load(tmp_path / "explored" / "stages" / f"{folder}.voxels.npz")["between"]) > 100
-    assert moved > 0
+def test_grown_and_refined_candidates_are_like_others(part_file: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+    """The columns of the matrix at refined candidates, which follow the grown ones, have the rows of their own rays."""
+    grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "2", "--out", "explored")
+    run_cell("explore", part_file, "--units", "mm", *grown, cwd=tmp_path, code=0)
+    run = open_finished(tmp_path / "explored" / "stages" / "0002")
+    M, candidates, cell = run.measurability, run.candidates, read_cell(run)
+    assert len(candidates) == len(run.reach) == M.shape[1]
+    chosen = [run.plan.views[0].id, *range(len(candidates) - 10, len(candidates))]
+    casters = (cell.part_caster, cell.occluder_caster)
+    found = find_measured(candidates.T_object_scanner[chosen], M.samples, cell.scanner, casters, each=True)
+    np.testing.assert_array_equal(M.matrix()[:, chosen].toarray() > 0, found)
+    assert len(np.load(tmp_path / "explored" / "stages" / "0002.voxels.npz")["between"]) > 100
 
 
 def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path, part_file: Path) -> None:
@@ -148,8 +111,7 @@ def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, pa
 
 def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
     """Return a copy in which explore.json has only the first stage, as if the second stage were unfinished."""
-    again = tmp_path / "explored"
-    shutil.copytree(explored, again)
+    again = Path(shutil.copytree(explored, tmp_path / "explored"))
     file = schema.read_explore_file(again / "explore.json")
     before = file.model_copy(update={"status": "running", "stop_reason": "", "batches": file.batches[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
@@ -178,36 +140,26 @@ def _killed_before_the_manifest(stage: Path) -> None:
     "killed", [pytest.param(_plan_killed, marks=pytest.mark.slow), _execution_killed, _killed_before_the_manifest]
 )
 def test_the_same_command_goes_on_where_it_was_killed(
-    killed: Callable[[Path], None],
-    explored: Path,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    killed: Callable[[Path], None], explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """A stage that is missing in explore.json is completed from a killed plan or execution with equal bytes."""
     again = _stopped_after_the_first(explored, tmp_path)
     killed(again / "stages" / "0002")
     (again / "stages" / "0002.voxels.npz").unlink()
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path, code=0)
     for name in ("explore.json", "report.md", "model.ply", "stages/0002.voxels.npz"):
         assert (again / name).read_bytes() == (explored / name).read_bytes(), name
 
 
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:100])])
-def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
-    damage: Callable[[Path], object],
-    explored: Path,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+def test_a_missing_earlier_scan_is_reported_before_any_motion(
+    damage: Callable[[Path], object], explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """With a missing or truncated scan of an earlier stage, no batch is planned, and exit code 6 names the stage."""
     again = _stopped_after_the_first(explored, tmp_path)
     shutil.rmtree(again / "stages" / "0002")
     damage(again / "stages" / "0001" / "executions" / "0001" / "scans" / "0002.npz")
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
-    assert done.returncode == 6, done.stderr
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path, code=6)
     assert "stages/0001" in done.stderr
     assert "start a new exploration" in done.stderr
     assert not (again / "stages" / "0002").exists()
@@ -221,8 +173,8 @@ def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make every plan on the believed surface after the first batch stop for too little open surface."""
     believed = explore._plan_on_belief
 
-    def plan(work: ExplorationContext, file: ExploreFile, *asked: Any) -> Path | StopReason:
-        folder = believed(work, file, *asked)
+    def plan(work: ExplorationContext, file: ExploreFile, *requests: Any) -> Path | StopReason:
+        folder = believed(work, file, *requests)
         if file.batches and isinstance(folder, Path):
             shutil.rmtree(folder)
             return StopReason("too little of the believed surface is open")
@@ -232,24 +184,16 @@ def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def on_measured(
-    soon_measured: None,
-    made_once: Callable[..., Path],
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
-) -> Path:
+def on_measured(soon_measured: None, made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return an exploration: the first batch is planned on the believed surface, the others on measured surfaces."""
 
     def make(folder: Path) -> None:
-        done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", "explored", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", "explored", cwd=folder, code=0)
 
     return made_once("explored on measured surfaces", make) / "explored"
 
 
-def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
-    on_measured: Path, part_file: Path
-) -> None:
+def test_stages_on_the_measured_surface_measure_new_samples(on_measured: Path, part_file: Path) -> None:
     """The part of such a stage is the stored surface of all earlier points. The record of beliefs does not change."""
     file = schema.read_explore_file(on_measured / "explore.json")
     assert [(stage.planning_surface, stage.views) for stage in file.batches] == [
@@ -308,15 +252,10 @@ def _killed_before_what_was_learned_was_written(stage: Path) -> None:
     ],
 )
 def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
-    killed: Callable[[Path], None],
-    on_measured: Path,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    killed: Callable[[Path], None], on_measured: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """The bytes equal those of an exploration that was not killed."""
-    again = tmp_path / "explored"
-    shutil.copytree(on_measured, again)
+    again = Path(shutil.copytree(on_measured, tmp_path / "explored"))
     file = schema.read_explore_file(again / "explore.json")
     before = file.model_copy(update={"status": "running", "stop_reason": "", "batches": file.batches[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
@@ -324,8 +263,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
         shutil.rmtree(left) if left.is_dir() else left.unlink()
     (again / "stages" / "0002.voxels.npz").unlink()
     killed(again / "stages" / "0002")
-    done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", again, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", again, cwd=tmp_path, code=0)
     stages = [
         f"stages/{number}.{kind}"
         for number in ("0002", "0003")
@@ -335,9 +273,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
         assert (again / name).read_bytes() == (on_measured / name).read_bytes(), name
 
 
-def test_points_of_files_need_no_model(
-    explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
+def test_points_of_files_need_no_model(explored: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """With points from files, one folder for each stage, a model is reconstructed without a model of the part."""
     cylinder = schema.read_explore_file(explored / "explore.json").cylinder
     scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
@@ -345,11 +281,10 @@ def test_points_of_files_need_no_model(
     for scan in scans:
         points = 1000 * np.load(scan)["points"] + np.array(cylinder.centre_mm)
         np.savetxt(tmp_path / "points" / "0001" / f"{scan.stem}.xyz", points)
-    done = run_cell(
+    run_cell(
         "explore", *OPTIONS[:-1], "3", "--cylinder", f"{cylinder.diameter_mm},{cylinder.height_mm}", "--acquire",
-        "files:points", "--points-frame", "base", "--points-units", "mm", "--out", "out", cwd=tmp_path,
+        "files:points", "--points-frame", "base", "--points-units", "mm", "--out", "out", cwd=tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     file = schema.read_explore_file(tmp_path / "out" / "explore.json")
     assert file.source == "files:points"
     assert file.batches[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
@@ -357,69 +292,59 @@ def test_points_of_files_need_no_model(
 
 
 def test_other_options_do_not_go_on_there(
-    explored: Path, tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+    explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """The folder of another exploration and a folder without an exploration are refused."""
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell(
+        "explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path, code=2
+    )
     assert "other options" in done.stderr
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path)
-    assert done.returncode == 6
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path, code=6)
     assert "not an exploration" in done.stderr
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (("--acquire", "files:points"), "give --cylinder"),
         (("--voxel", "0.01"), "choose larger voxels or a smaller cylinder"),
         (("--pin", "3"), "omit it here"),
-        (("--scene", "line.toml"), "sweeps"),
+        (("--scene", "line.toml"), "sweeping scanner laser-line"),
         (("--scene", "setups.toml"), "remove [[setup]] here"),
-        (("--require", "0.9"), "--require is for a part that is known"),
+        (("--require", "0.9"), "--require needs a model of the part"),
         (("--policy", "two-stage", "--batch", "2"), "--batch applies to stepwise only"),
     ],
 )
-def test_what_cannot_be_explored_is_refused_before_anything_is_made(
-    options: tuple[str, ...],
-    told: str,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+def test_invalid_explorations_are_refused_before_a_folder_is_made(
+    options: tuple[str, ...], message: str, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """An invalid exploration is refused with exit code 2, and no folder is created."""
     (tmp_path / "setups.toml").write_text('[[setup]]\nname = "up"\nposition_mm = [1100, 400, 100]\n')
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
-    done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert told in done.stderr
+    done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path, code=2)
+    assert message in done.stderr
     assert not (tmp_path / "new").exists()
 
 
-def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
-    tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+def test_a_cylinder_smaller_than_the_part_is_reported_after_the_ring(
+    tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """Points outside the cylinder end the exploration before a stage is recorded. The standoff suits the cylinder."""
     options = ["100" if word == "250" else word for word in OPTIONS]
     done = run_cell(
-        "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path
+        "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path, code=6
     )
-    assert done.returncode == 6, done.stderr
     assert "outside the cylinder" in done.stderr
     assert schema.read_explore_file(tmp_path / "new" / "explore.json").batches == ()
 
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_the_page_shows_the_views_in_order(
-    explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
-    data_of: Callable[[str], dict[str, Any]],
+    explored: Path, tmp_path: Path, run_cell: RunCommand,
+    data_of: Callable[[str], dict[str, Any]]
 ) -> None:  # fmt: skip
-    """The page has the views of all batches on one motion, colours by view and the curve as a picture.
-
-    It is reproducible and requests nothing from outside.
-    """
-    done = run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    """The page has the views of all batches on one motion, colours by view and the curve as a picture."""
+    run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path, code=0)
     page, file = (tmp_path / "page.html").read_text(), schema.read_explore_file(explored / "explore.json")
     assert page == explore_page(explored)
     assert not re.search(r'(src|href)="(?!data:)', page.partition("</head>")[0])

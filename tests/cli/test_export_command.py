@@ -3,7 +3,6 @@
 import csv
 import json
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,24 +11,21 @@ import pytest
 
 from cell.export import export
 from cell.runs.run import open_finished
+from tests.support.fixture_types import RunCommand
 
 _RESERVED_NAMES = (
     "PULSE", "ANIN", "ANOUT", "DIGIN", "SEC", "CHANNEL", "CONFIRM", "CCLOSE", "B_AND", "PRIO", "Tool_Data", "XHOME",
     "XHOME3", "DEF_OV_PRO", "PDEFAULT", "PGNO", "BAS_COMMAND", "CHANNEL_7", "SIN", "STRUC", "LOAD",
 )  # fmt: skip
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
-
 
 def test_files_are_written_below_the_run_folder_and_are_reproducible(
-    planned: Path, run_cell: Run, tmp_path: Path
+    planned: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """Each call replaces `export/` and leaves the plan unchanged. Repeated exports have equal bytes and no path."""
-    run = tmp_path / "trial"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "trial"))
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
-    done = run_cell("export", str(run), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("export", str(run), cwd=tmp_path, code=0)
     assert done.stdout.split() == [str(run / "export" / name) for name in ("trial.src", "trial.dat")]
     assert "docs/export.md" in done.stderr
     first = {path.name: path.read_bytes() for path in (run / "export").iterdir()}
@@ -41,13 +37,14 @@ def test_files_are_written_below_the_run_folder_and_are_reproducible(
     assert {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
 
 
-def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_csv_and_json_agree_with_each_other_and_with_the_plan(
+    planned: Path, run_cell: RunCommand, tmp_path: Path
+) -> None:
     """Every via point has its axes to 1e-9 deg, every view its poses of TCP and flange as in plan.json."""
     from planner.kinematics.frames import pose_from_kuka_abc
 
     for kind in ("csv", "json"):
-        done = run_cell("export", str(planned), "--format", kind, "--name", "PART", "--out", "out", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        run_cell("export", str(planned), "--format", kind, "--name", "PART", "--out", "out", cwd=tmp_path, code=0)
     content = json.loads((tmp_path / "out" / "PART.json").read_text())
     with (tmp_path / "out" / "PART.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -76,7 +73,7 @@ def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run
     assert content["schema"] == "scan-cell/run/3"
 
 
-def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_json_option_prints_one_object(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """Stdout is one object with the name, the speed and the files."""
     done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "0.07", "--json", cwd=tmp_path)
     outcome = json.loads(done.stdout)
@@ -85,7 +82,7 @@ def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: P
     assert b"BAS(#VEL_PTP,7)\r\n" in (tmp_path / "x" / "A1.src").read_bytes()
 
 
-def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The defaults are 20 % of the speeds and 30 % of the accelerations, or the scaling of the plan if it is lower."""
     done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--json", cwd=tmp_path)
     outcome = json.loads(done.stdout)
@@ -97,7 +94,7 @@ def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: 
 
 
 def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
-    planned: Path, run_cell: Run, tmp_path: Path
+    planned: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """A folder name that begins with a digit and one that is a keyword are replaced."""
     for name in ("20261121T030106Z-1f0c2a9b", "pulse"):
@@ -148,20 +145,21 @@ def test_invalid_options_give_one_sentence_and_code_2(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_changed_file_in_an_output_folder_is_not_replaced(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_a_changed_file_in_an_output_folder_is_not_replaced(
+    planned: Path, run_cell: RunCommand, tmp_path: Path
+) -> None:
     """With `--out`, a file with other content stays. An equal file may be written again."""
     assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
     assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
     edited = tmp_path / "out" / "P.dat"
     edited.write_bytes(edited.read_bytes().replace(b"SC_DONE=1", b"SC_DONE=9"))
     content = edited.read_bytes()
-    done = run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path)
-    assert done.returncode == 6
+    done = run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path, code=6)
     assert "P.dat exists already with other content" in done.stderr
     assert edited.read_bytes() == content
 
 
-def test_a_folder_name_cannot_inject_a_statement(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_a_folder_name_cannot_inject_a_statement(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A folder name with line breaks and more characters than a KRL line stays one comment."""
     run = tmp_path / ("moved\r\nPTP {A1 170}\n" + "x" * 200 + "ü")
     shutil.copytree(planned, run)
@@ -174,38 +172,32 @@ def test_a_folder_name_cannot_inject_a_statement(planned: Path, run_cell: Run, t
 
 
 def test_runs_that_cannot_be_exported(
-    planned: Path, run_cell: Run, tmp_path: Path, resealed: Callable[[Path], str]
+    planned: Path, run_cell: RunCommand, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
     """A missing, unfinished or damaged run and a run without motion have exit code 6 with the cause."""
     done = run_cell("export", "nowhere", cwd=tmp_path)
     assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
 
-    unfinished = tmp_path / "unfinished.part"
-    shutil.copytree(planned, unfinished)
+    unfinished = Path(shutil.copytree(planned, tmp_path / "unfinished.part"))
     manifest = json.loads((unfinished / "manifest.json").read_text())
     changed = manifest | {"status": "failed", "stage": "reach", "reason": "none is reachable"}
     (unfinished / "manifest.json").write_text(json.dumps(changed))
-    done = run_cell("export", str(unfinished), cwd=tmp_path)
-    assert done.returncode == 6
+    done = run_cell("export", str(unfinished), cwd=tmp_path, code=6)
     assert "has no finished plan: the run failed in the stage 'reach': none is reachable" in done.stderr
 
-    damaged = tmp_path / "damaged"
-    shutil.copytree(planned, damaged)
+    damaged = Path(shutil.copytree(planned, tmp_path / "damaged"))
     (damaged / "motion.npz").write_bytes(b"PK")
-    done = run_cell("export", str(damaged), cwd=tmp_path)
-    assert done.returncode == 6
+    done = run_cell("export", str(damaged), cwd=tmp_path, code=6)
     assert "is not the file that the run wrote" in done.stderr
 
-    still = tmp_path / "still"
-    shutil.copytree(planned, still)
+    still = Path(shutil.copytree(planned, tmp_path / "still"))
     with np.load(still / "motion.npz") as stored:
         arrays = dict(stored)
     for name in ("via_q", "segment", "view", "via_t", "pose", "line"):
         arrays[name] = arrays[name][:1]
     np.savez_compressed(still / "motion.npz", **arrays)
     resealed(still)
-    done = run_cell("export", str(still), cwd=tmp_path)
-    assert done.returncode == 6
+    done = run_cell("export", str(still), cwd=tmp_path, code=6)
     assert "has no motion" in done.stderr
     assert not (still / "export").exists()
 

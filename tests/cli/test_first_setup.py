@@ -4,7 +4,6 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,23 +11,20 @@ import trimesh
 
 from cell.api import open_run
 from tests.seen_samples import seen_samples
-
-Cell = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 BOX = ("--units", "mm", "--place", "1100,400,100", "--standoff", "250", "--faces", "40")
 OPTIONS = ("--coverage", "0.97", "--proposals", "5")
 
 
 @pytest.fixture(scope="module")
-def made(made_once: Callable[..., Path], planned: Path, run_cell: Cell) -> Path:
+def made(made_once: Callable[..., Path], planned: Path, run_cell: RunCommand) -> Path:
     """Return a folder of set-ups with the planned run, which has an execution, as the first one."""
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "first")
-        done = run_cell("scan", "first", "--resolution", "2", "--json", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        done = run_cell("setups", *OPTIONS, "--first", "first", "--out", "made", "--json", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("scan", "first", "--resolution", "2", "--json", cwd=folder, code=0)
+        run_cell("setups", *OPTIONS, "--first", "first", "--out", "made", "--json", cwd=folder, code=0)
 
     return made_once("first_setup", make) / "made"
 
@@ -48,7 +44,7 @@ def test_the_first_set_up_is_the_given_plan_with_its_executions(made: Path, plan
     assert "as it is placed" not in [each["name"] for each in file["candidates"]]
 
 
-def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
+def test_the_other_set_ups_cover_the_remaining_surface(made: Path) -> None:
     """The coverage is that of all views together. The further set-ups increase it to the target."""
     file = json.loads((made / "setups.json").read_text())
     assert len(file["selected"]) > 1
@@ -60,32 +56,27 @@ def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
     assert file["coverage"]["visible_of_coverable"] >= 0.97
 
 
-def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The execution of the first set-up is used, and only the others are scanned."""
     shutil.copytree(made, tmp_path / "made")
-    done = run_cell("scan", "made", "--resolution", "2", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resolution", "2", "--json", cwd=tmp_path, code=0)
     report = json.loads(done.stdout)
     assert report["missing_setups"] == []
     assert [setup["execution"] for setup in report["setups"]] == ["0001"] * len(report["setups"])
     assert "set-up 1 of" not in done.stderr
 
 
-def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """Another mesh and other options are refused with exit code 2, a missing run with 6."""
     trimesh.creation.box([120, 60, 60]).export(tmp_path / "box.stl")
-    done = run_cell("setups", "box.stl", *BOX, *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("setups", "box.stl", *BOX, *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path, code=2)
     assert "give a plan of the same part" in done.stderr
-    done = run_cell("setups", "--baseline", "60", "--first", planned, "--out", "other", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("setups", "--baseline", "60", "--first", planned, "--out", "other", cwd=tmp_path, code=2)
     assert "give part and options, or a scene file" in done.stderr
-    done = run_cell("setups", "--first", "nothing", "--out", "other", cwd=tmp_path)
-    assert done.returncode == 6
+    run_cell("setups", "--first", "nothing", "--out", "other", cwd=tmp_path, code=6)
 
 
-def test_the_earlier_option_names_the_new_form(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_the_earlier_option_names_the_new_form(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """`cell plan --open-of RUN` is refused with the new command in the message."""
-    done = run_cell("plan", "--open-of", planned, "--place", "1100,400,100,0,0,180", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("plan", "--open-of", planned, "--place", "1100,400,100,0,0,180", cwd=tmp_path, code=2)
     assert f"cell setups --first {planned}" in " ".join(done.stderr.split())

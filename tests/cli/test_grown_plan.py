@@ -1,7 +1,7 @@
 """`cell plan --candidates grown` on the command line."""
 
 import json
-import subprocess
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,8 +11,7 @@ import pytest
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from planner.measurability.visibility import find_measured
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
@@ -22,22 +21,30 @@ def grown(part_file: Path, small_plan: tuple[str, ...]) -> tuple[str, ...]:
 
 
 @pytest.fixture(scope="module")
-def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: Run) -> Path:
+def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: RunCommand) -> Path:
     """Return its run folder, with the matrix from the cache if available."""
 
     def make(folder: Path) -> None:
-        done = run_cell(*grown, "--out", "run", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell(*grown, "--out", "run", cwd=folder, code=0)
 
     return made_once("grown", make) / "run"
 
 
+@pytest.fixture(scope="module")
+def fewest(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: RunCommand) -> Path:
+    """Return the run folder of the fewest views for 97 %, with refined candidates."""
+
+    def make(folder: Path) -> None:
+        run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=folder, code=0)
+
+    return made_once("grown-fewest", make) / "run"
+
+
 def test_grown_candidates_keep_the_run_folder_s_contract(
-    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """Runs with and without cache have equal bytes. Every array has all candidates. Views match their candidates."""
-    done = run_cell(*grown, "--no-cache", "--out", "again", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell(*grown, "--no-cache", "--out", "again", cwd=tmp_path, code=0)
     first, second = (json.loads((each / "manifest.json").read_text()) for each in (run, tmp_path / "again"))
     assert first["artefacts"] == second["artefacts"]
 
@@ -53,15 +60,10 @@ def test_grown_candidates_keep_the_run_folder_s_contract(
 
 
 def test_views_that_moved_are_candidates_like_others(
-    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+    run: Path, fewest: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
-    """Moved views follow the other candidates, with correct entries of reach and matrix.
-
-    Each column is recounted by rays of its own pose, each joint solution by forward kinematics. The motion is verified
-    by `cell edit`, which computes it again, and at the beginning of each scan.
-    """
-    done = run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    """Moved views follow the other candidates, with correct entries of reach and matrix."""
+    shutil.copytree(fewest, tmp_path / "run")
     moved, others = open_finished(tmp_path / "run"), open_finished(run)
     known, views = len(others.candidates), moved.candidates
     assert len(views) > known
@@ -115,15 +117,11 @@ def test_pose_search_is_skipped_with_its_reason(grown: tuple[str, ...], tmp_path
 
 
 def test_the_shortest_time_is_never_longer_than_the_fewest_views(
-    grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+    grown: tuple[str, ...], fewest: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """The plan of shortest time includes the moved views as candidates. Its bound does not exceed its time."""
-    said = []
-    for cost in ("views", "time"):
-        done = run_cell(*grown, "--coverage", "0.97", "--cost", cost, "--out", cost, "--json", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        said.append(json.loads(done.stdout))
-    fewest, time = said
+    run_cell(*grown, "--coverage", "0.97", "--cost", "time", "--out", "time", cwd=tmp_path, code=0)
+    views, time = (json.loads((run / "report.json").read_text()) for run in (fewest, tmp_path / "time"))
     standing = time["settings"]["scan_s"] + time["settings"]["settle_s"]
-    assert time["cost"]["seconds"] <= fewest["n_views"] * standing + fewest["motion"]["duration_s"] + 1e-9
+    assert time["cost"]["seconds"] <= views["n_views"] * standing + views["motion"]["duration_s"] + 1e-9
     assert 0 < time["cost"]["seconds_bound"] <= time["cost"]["seconds"]

@@ -1,14 +1,12 @@
 """`cell plan` with line sensors: views are sweeps, and the motion drives each sweep as a line at constant speed."""
 
 import json
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 _OPTIONS = (
     "--units", "mm", "--place", "1100,400,100", "--faces", "24", "--samples", "2",
@@ -74,7 +72,7 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -
     assert (motion["q"] <= limits[:, 1] + 1e-9).all()
 
 
-def test_what_is_not_judged_is_said(swept: Path) -> None:
+def test_missing_checks_are_reported(swept: Path) -> None:
     """The missing check of occlusion is reported on the terminal, in the report page and in report.json."""
     assert "occlusion by the arm itself is not checked" in (swept.parent / "stderr").read_text()
     assert "driven as a straight line at constant speed on one joint branch" in (swept / "report.md").read_text()
@@ -84,14 +82,12 @@ def test_what_is_not_judged_is_said(swept: Path) -> None:
     assert summary["coverage"]["visible_with_arm"] is None
 
 
-def test_sweeps_are_executed_and_exported(swept: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_sweeps_are_executed_and_exported(swept: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A view is scanned in a motion there and back, with all lines at the reported poses. KRL export is refused."""
     import shutil
 
-    run = tmp_path / "run"
-    shutil.copytree(swept, run)
-    done = run_cell("scan", str(run), "--view", "2", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run = Path(shutil.copytree(swept, tmp_path / "run"))
+    done = run_cell("scan", str(run), "--view", "2", "--json", cwd=tmp_path, code=0)
     view = json.loads((run / "plan.json").read_text())["views"][1]
     with np.load(run / "executions" / "0001" / "scans" / "0002.npz") as scan:
         np.testing.assert_allclose(scan["sweep_T_object_scanner"], view["sweep"]["T_object_scanner"], atol=1e-9)
@@ -106,22 +102,19 @@ def test_sweeps_are_executed_and_exported(swept: Path, run_cell: Run, tmp_path: 
     driven = np.load(run / "executions" / "0001" / "motion.npz")
     np.testing.assert_array_equal(driven["via_q"][0], driven["via_q"][-1])
     assert (driven["pose"] >= 0).sum() == 5
-    done = run_cell("export", str(run), "--json", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("export", str(run), "--json", cwd=tmp_path, code=2)
     assert "the sweep of view 1 turns by 24.000 deg, and a LIN of KRL may turn differently" in done.stderr
     assert not (run / "export").exists()
     assert run_cell("export", str(run), "--format", "csv", cwd=tmp_path).returncode == 0
 
 
-def test_a_sensor_is_chosen_by_name(run_cell: Run, part_file: Path, tmp_path: Path) -> None:
+def test_a_sensor_is_chosen_by_name(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """Missing figures end the command. With them, the standoff is the middle of the sensor's range."""
     arguments = ("plan", str(part_file), *_OPTIONS, "--sensor", "gocator-2330", "--out", "run", "--json")
-    done = run_cell(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell(*arguments, cwd=tmp_path, code=2)
     assert "gocator-2330 does not state its baseline; set scanner.baseline_mm" in done.stderr
     assert not (tmp_path / "run").exists()
-    done = run_cell(*arguments, "--baseline", "60", "--faces", "12", "--coverage", "0.3", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell(*arguments, "--baseline", "60", "--faces", "12", "--coverage", "0.3", cwd=tmp_path, code=0)
     settings = json.loads(done.stdout)["settings"]
     assert settings["sensor"] == "gocator-2330"
     assert settings["standoffs_mm"] == pytest.approx([138.947368], abs=1e-5)
@@ -131,10 +124,9 @@ def test_a_sensor_is_chosen_by_name(run_cell: Run, part_file: Path, tmp_path: Pa
     assert resolved["scanner"]["fan_deg"] == pytest.approx(26.7204, abs=1e-4)
 
 
-def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None:
+def test_cell_sensors_lists_the_library(run_cell: RunCommand, tmp_path: Path) -> None:
     """The output is a table, or one JSON object with the sources and the figures that the user must give."""
-    done = run_cell("sensors", cwd=tmp_path)
-    assert done.returncode == 0
+    done = run_cell("sensors", cwd=tmp_path, code=0)
     assert "gocator-2350" in done.stdout
     listed = json.loads(run_cell("sensors", "--json", cwd=tmp_path).stdout)["sensors"]
     assert {sensor["name"] for sensor in listed} >= {"gocator-2330", "keyence-lj-v7200", "generic-area-small", "paper"}
@@ -143,15 +135,14 @@ def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None
         assert ("baseline_mm" in sensor["to_be_given"]) == (sensor["type"] == "laser-line")
 
 
-def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: Run) -> None:
+def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: RunCommand) -> None:
     """The error is one sentence about the option."""
-    done = run_cell("scan", "run", "--resolution", "1", cwd=swept.parent)
-    assert done.returncode == 2
+    done = run_cell("scan", "run", "--resolution", "1", cwd=swept.parent, code=2)
     assert done.stderr.startswith("cell: --resolution is the angle between rays, and the scanner laser-line has none")
     assert not (swept / "executions").exists()
 
 
-def test_sweeps_can_be_edited(swept: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_sweeps_can_be_edited(swept: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """An edit without changes gives equal bytes. After drop, turn and order each view has the sweep of its pose."""
     before = json.loads((swept / "plan.json").read_text())["views"]
     assert run_cell("edit", swept, "--out", "same", "--json", cwd=tmp_path).returncode == 0

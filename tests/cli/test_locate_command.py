@@ -1,7 +1,6 @@
 """`cell locate`: a displaced part is located from several kinds of points and the plan is moved; refusals."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,7 @@ from cell.runs.verification import verify_plan
 from cell.world import virtual_scan
 from planner.registration.rigid import motion_from_screw
 from planner.values import Floats
-
-Command = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 def _set_down(run: Run, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
@@ -37,13 +35,15 @@ def _scanned(run: Run, T_base_object: Floats, view: int) -> Floats:
     return np.asarray(points + rays * np.random.default_rng(view).normal(0, 3e-5, (len(points), 1)))
 
 
-def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, planned: Path, tmp_path: Path) -> None:
+def test_one_scan_finds_the_part_and_the_plan_is_taken_there(
+    run_cell: RunCommand, planned: Path, tmp_path: Path
+) -> None:
     """A part 15 mm and 4 deg off is located to 0.05 mm. The new plan keeps most views, is verified and scanned."""
     run = open_run(planned)
     T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
     np.savetxt(tmp_path / "scan_0001.xyz", 1000 * _scanned(run, T, 1), fmt="%.6f")
-    said = ("--points", tmp_path, "--points-frame", "scanner", "--points-units", "mm")
-    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
+    output = ("--points", tmp_path, "--points-frame", "scanner", "--points-units", "mm")
+    done = run_cell("locate", planned, *output, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
     found = json.loads(done.stdout)
     off = np.array(found["T_base_object"]) @ np.linalg.inv(T)
@@ -73,16 +73,16 @@ def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
     for name, measured in (("base", base), ("scanner", base @ back[:3, :3].T + back[:3, 3])):
         rows = [f"p{k}; " + ", ".join(f"{1000 * value:.9f}" for value in (*nominal[k], *measured[k])) for k in range(6)]
         (tmp_path / f"{name}.csv").write_text("# name, on the part, measured\n" + "\n".join(rows))
-    for wishes in (
+    for options in (
         {"pairs": tmp_path / "base.csv", "points_frame": "base"},
         {"pairs": tmp_path / "scanner.csv", "points_frame": "scanner", "view": 3},
         {"three_two_one": tmp_path / "base.csv", "points_frame": "base", "point_sd": 0.05},
     ):
-        texts = {name: str(value) if isinstance(value, Path) else value for name, value in wishes.items()}
+        texts = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
         found = locate(run, points_units="mm", **texts)
         np.testing.assert_allclose(found.T_base_object, T, atol=1e-8)
         assert found.precision is not None
-        assert found.free_motions == () or "three_two_one" in wishes  # random points: the uncertainty may be large
+        assert found.free_motions == () or "three_two_one" in options  # random points: the uncertainty may be large
 
 
 def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -> None:
@@ -98,7 +98,7 @@ def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -
     )
 
 
-def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) -> None:
+def test_a_part_in_contact_with_the_motion_is_reported(planned: Path, tmp_path: Path) -> None:
     """For a part at the scanner's first view, the checked motion does not keep its clearance."""
     run = open_run(planned)
     T = run.T_base_object.copy()
@@ -116,22 +116,22 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("a 1 2 3 4 5", "line 1: it must be a name and six numbers"),
         ("a 1 2 3 4 5 6\na 1 2 3 4 5 6", "line 2: the point 'a' occurs twice"),
         ("a 1 2 3 4 5 nan", "line 1: it must be"),
     ],
 )
-def test_files_of_named_points_that_are_none(content: str, told: str, planned: Path, tmp_path: Path) -> None:
+def test_files_of_named_points_that_are_none(content: str, message: str, planned: Path, tmp_path: Path) -> None:
     """The error names the line and the valid format."""
     (tmp_path / "touched.txt").write_text(content)
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=message):
         locate(planned, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
 
 
 @pytest.mark.parametrize(
-    ("wishes", "told"),
+    ("options", "message"),
     [
         ({"points": "x.ply", "points_frame": "base"}, "points_units is missing"),
         ({"points": "x.ply", "points_units": "mm"}, "points_frame is missing"),
@@ -140,13 +140,13 @@ def test_files_of_named_points_that_are_none(content: str, told: str, planned: P
         ({"points": "x.ply", "points_frame": "base", "points_units": "mm", "view": 99}, "there is no view 99"),
     ],
 )
-def test_what_cannot_be_asked(wishes: dict[str, Any], told: str, planned: Path) -> None:
+def test_invalid_options_are_refused(options: dict[str, Any], message: str, planned: Path) -> None:
     """Incomplete or contradictory options are refused with the remedy."""
-    with pytest.raises((UsageError, FileError), match=told):
-        locate(planned, **wishes)
+    with pytest.raises((UsageError, FileError), match=message):
+        locate(planned, **options)
 
 
-def test_what_is_open_is_not_planned_with(run_cell: Command, planned: Path, tmp_path: Path) -> None:
+def test_an_undetermined_placement_is_refused(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
     """Pairs on one line leave a rotation undetermined: exit code 2 and no new run."""
     run = open_run(planned)
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
@@ -156,8 +156,7 @@ def test_what_is_open_is_not_planned_with(run_cell: Command, planned: Path, tmp_
         for k, p in enumerate(nominal)
     ]
     (tmp_path / "line.txt").write_text("\n".join(rows))
-    said = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
-    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", cwd=tmp_path)
-    assert done.returncode == 2
+    output = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
+    done = run_cell("locate", planned, *output, "--out", tmp_path / "there", cwd=tmp_path, code=2)
     assert "turning about" in done.stderr
     assert not list(tmp_path.glob("there*"))

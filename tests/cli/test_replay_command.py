@@ -27,8 +27,8 @@ from cell.view.replay import load_playback, replay
 from cell.view.replay_options import ReplayOptions
 from cell.view.viewer import set_camera
 from planner.values import Floats
+from tests.support.fixture_types import RunCommand
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 _SIZE = (480, 360)
 _PLACED_AT = np.array([1.1, 0.4, 0.1])  # --place of the fixture's plan
 
@@ -214,7 +214,7 @@ def test_a_contact_is_named(playback: Playback) -> None:
 
 
 def test_frames_through_the_command_line(
-    planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
+    planned: Path, tmp_path: Path, run_cell: RunCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames are numbered PNGs of the requested size and need no OpenGL. A folder with frames is an error."""
     monkeypatch.setenv("MUJOCO_GL", "off")
@@ -232,7 +232,7 @@ def test_frames_through_the_command_line(
 
 
 def test_a_picture_needs_no_opengl_and_hides_named_pieces(
-    planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
+    planned: Path, tmp_path: Path, run_cell: RunCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without EGL and OSMesa pictures are reproducible. `--hide` and `--camera` change the picture."""
     monkeypatch.setenv("MUJOCO_GL", "off")
@@ -290,7 +290,7 @@ def test_an_execution_shows_its_points(
         replay(folder, ReplayOptions(execution="latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Terminal())
 
 
-def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """The failure is reported, and the picture shows the arm and the candidates."""
     folder = Path(shutil.copytree(planned, tmp_path / "run.part"))
     for name in ("motion.npz", "plan.json", "report.json", "measurability.npz"):
@@ -298,8 +298,7 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest |= {"status": "failed", "stage": "measurability", "reason": "the disk is full"}
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    done = run_cell("replay", "run.part", "--picture", "p.png", "--size", "480x360", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("replay", "run.part", "--picture", "p.png", "--size", "480x360", cwd=tmp_path, code=0)
     assert "failed in the stage 'measurability': the disk is full" in done.stderr
     assert "candidate viewpoints" in done.stderr
     picture = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
@@ -315,7 +314,7 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
 
 
 def test_without_a_display_the_message_names_the_alternatives(
-    planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
+    planned: Path, tmp_path: Path, run_cell: RunCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The message names --frames and --picture; exit code 2."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
@@ -358,6 +357,7 @@ print(json.dumps({"oranges": oranges, "columns": columns}))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="the viewer needs a display: install xvfb")
 def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
     """On a virtual display with a simulated clock, the orange arm moves on the screen. `--once` ends the viewer."""

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +18,7 @@ from cell.view.replay_options import ReplayOptions
 from cell.view.replay_pictures import PictureInputs, write_picture
 from cell.view.tightest_moment import closeup_camera
 from cell.view.viewer import Player
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 _SIZE = (480, 360)
 _END = 269
@@ -75,34 +72,14 @@ def test_both_points_and_their_line_are_in_the_picture(planned: Path, playback: 
     assert red[_SIZE[1] // 2 - 40 : _SIZE[1] // 2 + 40, _SIZE[0] // 2 - 40 : _SIZE[0] // 2 + 40].sum() > 20
 
 
-def test_a_picture_of_another_moment_does_not_show_the_pair(planned: Path, playback: Playback, tmp_path: Path) -> None:
-    """The picture of another moment is the same with and without the pair."""
-    assert playback.tightest is not None
-    run = open_run(planned)
-    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
-    away = max((stop.begin for stop in playback.timeline.stops), key=lambda t: abs(t - playback.tightest.time))
-    pictures = {}
-    for moment in (away, playback.tightest.time):
-        for drawn in (playback, Playback(playback.replay_model, playback.timeline)):
-            write_picture(PictureInputs(drawn, cell, part, ()), tmp_path / "p.png", _SIZE, moment, (-60.0, 20.0))
-            pictures[drawn is playback, moment] = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
-    changed = {
-        moment: int((np.abs(pictures[True, moment] - pictures[False, moment]) > 25).any(axis=2).sum())
-        for moment in (away, playback.tightest.time)
-    }
-    assert changed[away] == 0
-    assert changed[playback.tightest.time] > 20
-
-
-def test_the_command_draws_the_tightest_moment(planned: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_the_command_draws_the_tightest_moment(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """`--tightest --picture` differs from the picture of the tour. `--tightest` with `--view` is an error."""
     done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
     done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", cwd=tmp_path)
     pictures = [np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("t.png", "p.png")]
     assert (np.abs(pictures[0] - pictures[1]) > 25).any(axis=2).mean() > 0.2
-    done = run_cell("replay", planned, "--tightest", "--view", "1", "--picture", "x.png", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("replay", planned, "--tightest", "--view", "1", "--picture", "x.png", cwd=tmp_path, code=2)
     assert "--tightest and view both set the start" in done.stderr
 
 

@@ -1,7 +1,6 @@
 """`cell plan` with requests beyond the fewest views: content of the run folder, refusals."""
 
 import json
-import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,22 +11,30 @@ import pytest
 from scipy.sparse import csr_array
 
 from cell.session import default_effort, effort_of
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
 def ask(
-    part_file: Path, small_plan: tuple[str, ...], run_cell: Run, tmp_path_factory: pytest.TempPathFactory
+    part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., tuple[Path, dict[str, Any]]]:
     """Return a function that plans the small part with more options and returns the folder and the JSON object."""
     folder = tmp_path_factory.mktemp("requests")
 
     def run(name: str, *options: str, code: int = 0) -> tuple[Path, dict[str, Any]]:
         done = run_cell(
-            "plan", str(part_file), "--units", "mm", *small_plan, *options, "--out", name, "--json", cwd=folder
+            "plan",
+            str(part_file),
+            "--units",
+            "mm",
+            *small_plan,
+            *options,
+            "--out",
+            name,
+            "--json",
+            cwd=folder,
+            code=code,
         )
-        assert done.returncode == code, done.stderr
         return folder / name, json.loads(done.stdout)
 
     return run
@@ -49,7 +56,7 @@ def covered(folder: Path) -> tuple[list[int], float]:
     return views, float(areas[M[:, views].any(axis=1)].sum() / areas.sum())
 
 
-def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
+def test_a_plan_without_requests_has_no_keys_of_requests(planned: Path) -> None:
     """A plan without requests has no further key in plan.json and report.json, and no curve."""
     plan, report = (json.loads((planned / name).read_text()) for name in ("plan.json", "report.json"))
     assert not {"max_coverage", "overlap", "promise", "multiplicity", "cost", "curve"} & (set(plan) | set(report))
@@ -66,16 +73,16 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
     with np.load(planned / "reach.npz") as arrays:
         reachable = np.flatnonzero(arrays["verdict"] == 0)
     pinned, banned = int(np.setdiff1d(reachable, plain)[0]), plain[:2]
-    folder, said = ask(
+    folder, output = ask(
         "most", "--max-views", "3", "--curve", "--pin", str(pinned), "--ban", str(banned[0]), "--ban", str(banned[1])
     )
     views, share = covered(folder)
     assert len(views) == 3
     assert pinned in views
     assert not set(banned) & set(views)
-    assert said["settings"]["pinned"] == [pinned]
-    assert said["max_coverage"]["coverage"] == pytest.approx(share)
-    assert share <= said["max_coverage"]["upper_bound"] + 1e-12
+    assert output["settings"]["pinned"] == [pinned]
+    assert output["max_coverage"]["coverage"] == pytest.approx(share)
+    assert share <= output["max_coverage"]["upper_bound"] + 1e-12
     curve = json.loads((folder / "curve.json").read_text())
     M, areas = matrix(folder)
     for point in curve["points"]:
@@ -99,7 +106,7 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
 
 
 def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
-    part_file: Path, small_plan: tuple[str, ...], run_cell: Run, planned: Path, tmp_path: Path
+    part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand, planned: Path, tmp_path: Path
 ) -> None:
     """The error names the candidate and its verdict. A candidate that does not exist is refused as well."""
     with np.load(planned / "reach.npz") as arrays:
@@ -107,33 +114,30 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
     lost = int(np.flatnonzero(verdict != 0)[0])
     for view, words in ((lost, f"plan.pinned names candidate {lost}, which is"), (10**6, "there are candidates 0 to")):
         pin = ("--pin", str(view), "--out", f"run{view}")
-        done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path)
-        assert done.returncode == 2, done.stderr
+        done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path, code=2)
         assert words in " ".join(done.stderr.split())
 
 
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """Each sample has two views, or all available ones. Scan and settling take 2.5 s for each view."""
-    folder, said = ask("twice", "--faces", "60", "--multiplicity", "2", "--cost", "time")
+    folder, output = ask("twice", "--faces", "60", "--multiplicity", "2", "--cost", "time")
     views, _ = covered(folder)
     M, _ = matrix(folder)
     with np.load(folder / "reach.npz") as arrays:
         able = M[:, arrays["verdict"] == 0].sum(axis=1)
     assert (M[:, views].sum(axis=1) >= np.minimum(able, 2)).mean() > 0.99  # except for samples that arms occlude
-    assert said["multiplicity"]["views_per_sample"] == 2
-    assert said["cost"]["seconds"] == pytest.approx(2.5 * len(views) + said["motion"]["duration_s"], abs=1e-6)
-    assert 0 < said["cost"]["seconds_bound"] <= said["cost"]["seconds"] + 1e-9
+    assert output["multiplicity"]["views_per_sample"] == 2
+    assert output["cost"]["seconds"] == pytest.approx(2.5 * len(views) + output["motion"]["duration_s"], abs=1e-6)
+    assert 0 < output["cost"]["seconds_bound"] <= output["cost"]["seconds"] + 1e-9
 
 
-def test_scans_that_hang_together(
-    ask: Callable[..., tuple[Path, dict[str, Any]]],
-) -> None:
+def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """The overlap graph of the views is connected in networkx. The extra views are as reported."""
     import networkx as nx
 
     effort = replace(default_effort(), constrained_work=300_000_000)  # the search for fewer views is not tested
     with effort_of(effort):
-        folder, said = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
+        folder, output = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
     views, _ = covered(folder)
     M, areas = matrix(folder)
     graph = nx.Graph()
@@ -143,25 +147,25 @@ def test_scans_that_hang_together(
             shared = areas[M[:, views[a]] & M[:, views[b]]].sum()
             if shared >= 0.5 * min(areas[M[:, views[a]]].sum(), areas[M[:, views[b]]].sum()) * (1 - 1e-9):
                 graph.add_edge(a, b)
-    assert said["overlap"]["connected"]
+    assert output["overlap"]["connected"]
     assert nx.is_connected(graph)
-    assert said["overlap"]["extra_views"] == len(views) - said["overlap"]["views_without_overlap"] >= 0
+    assert output["overlap"]["extra_views"] == len(views) - output["overlap"]["views_without_overlap"] >= 0
     assert all(set(graph[k]) & set(range(k)) for k in range(1, len(views)))  # views are in visiting order
-    assert said["overlap"]["views_without_earlier_overlap"] == 0
+    assert output["overlap"]["views_without_earlier_overlap"] == 0
 
 
 def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
     ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:
     """In 200 simulated executions with pose errors, the promised samples are measured at the promised rate."""
-    _, said = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
-    promise = said["robust"]
+    _, output = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
+    promise = output["robust"]
     assert (promise["executions"], promise["samples"], promise["alpha"]) == (200, 10_000, 0.1)
-    assert promise["robust_on_samples"] <= said["coverage"]["planned_on_samples"] + 1e-12
+    assert promise["robust_on_samples"] <= output["coverage"]["planned_on_samples"] + 1e-12
     assert promise["robust_on_samples"] == pytest.approx(promise["robust_coverable_on_samples"])
     assert promise["mean_frequency"] >= 0.9
     assert promise["confirmed_share"] > 0.98
-    assert promise["coverage_min"] <= promise["coverage_mean"] <= said["coverage"]["coverable"] + 0.01
+    assert promise["coverage_min"] <= promise["coverage_mean"] <= output["coverage"]["coverable"] + 0.01
 
 
 @pytest.mark.parametrize(
@@ -186,7 +190,7 @@ def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
 )
 def test_requests_that_contradict_each_other_are_refused(
     options: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     """Contradictory requests are refused with exit code 2 before any computation."""
     from cell.cli import main

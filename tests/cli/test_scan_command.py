@@ -30,9 +30,7 @@ from cell.session import Session
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
-
-Command = Callable[..., subprocess.CompletedProcess[str]]
-Start = Callable[..., "subprocess.Popen[str]"]
+from tests.support.fixture_types import RunCommand, StartCommand
 
 CONTRACT = {
     "manifest.json", "events.jsonl", "cloud.ply", "mesh.ply", "report.json", "report.md", "view.html",
@@ -43,8 +41,7 @@ CONTRACT = {
 @pytest.fixture
 def copied(executed: Path, tmp_path: Path) -> Path:
     """Return a copy of the executed run whose execution looks killed: status running, no sha256."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     path = run / "executions" / "0001" / "manifest.json"
     manifest = json.loads(path.read_text())
     for name in ("artefacts", "exit_code", "motion_s"):
@@ -61,8 +58,8 @@ def _without_schema(folder: Path) -> dict[str, Any]:
 
 def _scan(run: Path, **options: Any) -> ScanOutcome:
     """Execute a scan in this process, at 1 degree by default."""
-    asked = ScanOptions(**{"resolution_deg": 1.0, **options})
-    return scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, asked)
+    requests = ScanOptions(**{"resolution_deg": 1.0, **options})
+    return scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, requests)
 
 
 def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
@@ -73,14 +70,6 @@ def _rewrite(path: Path, **changed: Any) -> None:
     with np.load(path) as stored:
         content = {name: stored[name] for name in stored.files}
     np.savez_compressed(path, **{**content, **changed})
-
-
-def test_help_teaches_with_examples(tmp_path: Path, run_cell: Command) -> None:
-    """`cell scan --help` has commands that can be copied and the exit codes."""
-    done = run_cell("scan", "--help", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "cell scan sim_runs/trial --pose-error 0.5mm,0.1deg" in done.stdout
-    assert "5 driver" in done.stdout
 
 
 def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None:
@@ -148,7 +137,7 @@ def test_achieved_visible_coverage_is_the_predicted_one(executed: Path) -> None:
     )
 
 
-def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path) -> None:
+def test_cloud_and_mesh_are_readable_and_agree_with_the_report(executed: Path) -> None:
     """The cloud is PLY in mm with unit normals and the view of each point. The mesh is close to the reference."""
     folder = executed / "executions" / "0001"
     report = _without_schema(folder)
@@ -178,8 +167,7 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
 @pytest.mark.usefixtures("drawn_pictures")
 def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
     """A second execution in this process has the same sha256 for scans, cloud, mesh, report and pictures."""
-    again = tmp_path / "run"
-    shutil.copytree(executed, again)
+    again = Path(shutil.copytree(executed, tmp_path / "run"))
     outcome = _scan(again)
     assert outcome.folder.name == "0002"
     first, second = (
@@ -192,8 +180,7 @@ def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_report_made_again_is_the_same(executed: Path, tmp_path: Path) -> None:
     """`--report` on a finished execution changes no byte of any artefact."""
-    again = tmp_path / "run"
-    shutil.copytree(executed, again)
+    again = Path(shutil.copytree(executed, tmp_path / "run"))
     path = again / "executions" / "0001" / "manifest.json"
     before = json.loads(path.read_text())
     _remake(again, "latest")
@@ -213,8 +200,7 @@ def test_report_files_hold_no_clock_value(executed: Path) -> None:
 
 def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path: Path) -> None:
     """`--view 2` gives the same scan. The prediction is that of the view, and the executed motion is stored."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     outcome = _scan(run, view=2)
     scans = sorted((outcome.folder / "scans").iterdir())
     assert [path.name for path in scans] == ["0002.npz"]
@@ -230,8 +216,7 @@ def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path:
 
 def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
     """With 0.5 mm and 0.1 deg, the distance to the reference decreases at least 4 times. Commands are unchanged."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     outcome = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9)
     cloud = outcome.report.cloud
     assert cloud.rms_to_reference_as_reported_mm > 0.3
@@ -249,7 +234,7 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     assert raw.report.deviation.rms_mm > 1.5 * outcome.report.deviation.rms_mm
 
 
-def test_closed_holes_are_marked_and_said(copied: Path) -> None:
+def test_closed_holes_are_marked_and_reported(copied: Path) -> None:
     """The closing faces are marked in mesh.ply, are reported separately and are the difference to the open mesh."""
     open_faces = _without_schema(copied / "executions" / "0001")["surface"]["faces"]
     outcome = _scan(copied, close_holes=True)
@@ -279,7 +264,7 @@ def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
     assert not (outcome.folder / "mesh.ply").exists()
 
 
-def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> None:
+def test_one_empty_scan_among_others_is_reported_and_the_others_are_used(copied: Path) -> None:
     """An empty view is in the table with no point, and the surface is made from the other views."""
     path = copied / "executions" / "0001" / "scans" / "0002.npz"
     counts = np.zeros(len(Rejection), dtype=np.int64)
@@ -320,8 +305,7 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
 
 def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path: Path) -> None:
     """A scan whose content differs from the manifest of a finished execution is not used."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     path = run / "executions" / "0001" / "scans" / "0001.npz"
     _rewrite(path, points=read_scan(path).points + 1e-3)
     summary = _remake(run)
@@ -349,7 +333,7 @@ def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: 
     assert "whose file is 0004.npz" in summary.unusable_files[2]
 
 
-def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: Path) -> None:
+def test_a_damaged_manifest_of_an_execution_is_reported_and_the_scans_are_used(copied: Path) -> None:
     """Invalid JSON and entries of wrong type are reported in left_out, and the report is made from the scans."""
     path = copied / "executions" / "0001" / "manifest.json"
     good = json.loads(path.read_text())
@@ -383,7 +367,7 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
     assert _remake(copied).complete
 
 
-def test_what_the_controller_refuses_leaves_no_execution(planned: Path) -> None:
+def test_moves_that_the_controller_refuses_leave_no_execution(planned: Path) -> None:
     """Start and steps of all path segments are checked before a folder is created."""
     with pytest.raises(DriverFailureError, match="nothing was moved"):
         _scan(planned, driver="sim://?start=0,-80,90,0,90,0")
@@ -445,13 +429,12 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
-    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Command, start_cell: Start
+    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: RunCommand, start_cell: StartCommand
 ) -> None:
     """If stopped after the first scan, status and exit code report it, and `--report` uses the available scans."""
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     process = start_cell("scan", "run", "--resolution", "2", "--realtime", cwd=tmp_path)
     folder = run / "executions" / "0001"
     deadline = time.monotonic() + 60
@@ -468,14 +451,13 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
         assert process.returncode == -signal.SIGKILL
         assert manifest["status"] == "running"
     there = len(list((folder / "scans").glob("*.npz")))
-    done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path)
-    assert done.returncode == 6, done.stderr
+    done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path, code=6)
     summary = json.loads(done.stdout)
     assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
     assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
     assert "did not finish" in done.stderr
-    said = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are scanned"
-    assert said in done.stderr
+    output = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are scanned"
+    assert output in done.stderr
     after = json.loads((folder / "manifest.json").read_text())
     ended = ("interrupted", 130) if how == signal.SIGINT else ("incomplete", None)
     assert (after["status"], after["exit_code"]) == ended
@@ -499,25 +481,18 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     ],
 )
 def test_bad_input_gets_one_sentence_and_its_code(
-    arguments: tuple[str, ...],
-    code: int,
-    words: str,
-    executed: Path,
-    tmp_path: Path,
-    run_cell: Command,
+    arguments: tuple[str, ...], code: int, words: str, executed: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """The error has no traceback, names the cause, and has the documented exit code."""
     (tmp_path / "run").symlink_to(executed)
-    done = run_cell(*arguments, cwd=tmp_path)
-    assert done.returncode == code, done.stderr
+    done = run_cell(*arguments, cwd=tmp_path, code=code)
     assert words in done.stderr
     assert done.stdout == ""
 
 
 def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> None:
     """A failed run is refused, and the error names the stage in which it ended."""
-    run = tmp_path / "run.part"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run.part"))
     manifest = json.loads((run / "manifest.json").read_text())
     (run / "manifest.json").write_text(json.dumps({**manifest, "status": "failed", "stage": "reach"}))
     with pytest.raises(FileError, match="stage 'reach'"):
@@ -528,8 +503,7 @@ def test_a_required_coverage_that_is_missed_ends_with_code_3(
     planned: Path, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
     """The requirement of the plan holds for the execution, but not for a single view."""
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     resolved = json.loads((run / "scene.resolved.json").read_text())
     resolved["plan"]["required_visible"] = 1.0
     (run / "scene.resolved.json").write_text(json.dumps(resolved))

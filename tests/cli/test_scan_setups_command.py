@@ -4,16 +4,12 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
@@ -25,8 +21,7 @@ from cell.session import Session
 from cell.world.prediction import held_out_samples
 from cell.world.support_contact import in_contact
 from planner.measurability.visibility import find_measured
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import Emulate, RunCommand, StartCommand
 
 NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1")
 
@@ -37,29 +32,15 @@ def folder(made_setups: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made_setups, tmp_path / "made"))
 
 
-@pytest.mark.parametrize("seed", [11, *(pytest.param(s, marks=pytest.mark.slow) for s in (12, 13))])
-def test_what_is_called_determined_is_found_whatever_the_part_was_moved_by(folder: Path, seed: int) -> None:
-    """A part 5 mm and 2 deg off in several directions is located to 0.05 mm and 0.02 deg in both set-ups."""
-    wishes = {"setup_error": "5mm,2deg", "range_noise": 0.03, "resolution": 0.5, "seed": seed}
-    report = scan_all(folder, **wishes).report
-    assert report.missing_setups == ()
-    for setup in report.setups:
-        assert setup.localisation is not None
-        assert setup.localisation.error_mm is not None
-        assert setup.localisation.error_deg is not None
-        assert setup.localisation.error_mm <= 0.05
-        assert setup.localisation.error_deg <= 0.02
-
-
-def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: Run) -> None:
+def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: RunCommand) -> None:
     """A part 5 mm and 2 deg off is located to 0.05 mm and 0.02 deg. The report covers both set-ups."""
-    done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent, code=0)
     first = json.loads(done.stdout)
     assert (first["missing_setups"], len(first["setups"]), first["common_surface"]) == ([2], 1, [])
     assert first["uncovered"]["not_scanned"] > 0.05
-    done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # set-up 2 has the options of set-up 1
-    assert done.returncode == 0, done.stderr
+    done = run_cell(
+        "scan", "made", "--resume", "latest", cwd=folder.parent, code=0
+    )  # set-up 2 has the options of set-up 1
     assert "set-up 2 of 2: the part lies" in done.stderr
     report = json.loads((folder / "scanned" / "report.json").read_text())
     assert report["missing_setups"] == []
@@ -73,15 +54,13 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
     assert report["visible"] + sum(report["uncovered"].values()) == pytest.approx(1, abs=1e-9)
     assert report["visible"] == pytest.approx(report["planned"], abs=0.03)
     assert [pair["setups"] for pair in report["common_surface"]] == [[1, 2]]
-    done = run_cell("scan", "made", cwd=folder.parent)
-    assert done.returncode == 2
+    done = run_cell("scan", "made", cwd=folder.parent, code=2)
     assert "all 2 set-ups of made are scanned; --setup 1 scans one again" in done.stderr
 
 
-def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: Run) -> None:
+def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: RunCommand) -> None:
     """Without errors, the coverage is the union of the samples that the views measure and no support touches."""
-    done = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent, code=0)
     report = json.loads(done.stdout)
     seen = []
     for setup in ("1", "2"):
@@ -98,12 +77,12 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
     assert report["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
     assert all(setup["localisation"] is None for setup in report["setups"])
     again = (folder / "scanned" / "report.json").read_bytes()
-    done = run_cell("scan", "made", "--report", "latest", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "made", "--report", "latest", cwd=folder.parent, code=0)
     assert (folder / "scanned" / "report.json").read_bytes() == again
 
 
-def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_cell: Callable[..., Any]) -> None:
+@pytest.mark.slow
+def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand, start_cell: StartCommand) -> None:
     """After kill -9 in the first set-up, each view is scanned once, and the second set-up has the same options."""
     process = start_cell("scan", folder, "--resolution", "1", "--realtime")
     scans = folder / "setups" / "1" / "executions" / "0001" / "scans"
@@ -114,8 +93,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
-    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=folder.parent, code=0)
     assert "views are scanned already" in done.stderr
     report = json.loads(done.stdout)
     assert report["missing_setups"] == []
@@ -127,7 +105,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("made", "--setup", "3"), "there is no set-up 3 of made; there are 1 to 2"),
         (("made", "--view", "1"), "--view applies to one run: give its folder instead of that of all set-ups"),
@@ -135,19 +113,17 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
         (("made/setups/1", "--setup", "1"), "--setup needs a folder of cell setups"),
     ],
 )
-def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path, run_cell: Run) -> None:
+def test_invalid_requests_are_refused(words: tuple[str, ...], message: str, folder: Path, run_cell: RunCommand) -> None:
     """Invalid options are refused with exit code 2, and nothing is scanned."""
-    done = run_cell("scan", *words, cwd=folder.parent)
-    assert done.returncode == 2
-    assert told in done.stderr
+    done = run_cell("scan", *words, cwd=folder.parent, code=2)
+    assert message in done.stderr
     assert not (folder / "setups" / "1" / "executions").exists()
 
 
-def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_cell: Run) -> None:
+def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_cell: RunCommand) -> None:
     """Each set-up needs its own points: the next set-up is not begun automatically, also after a resumed one."""
     beside = folder.parent
-    done = run_cell("scan", "made/setups/1", "--resolution", "1", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "made/setups/1", "--resolution", "1", cwd=beside, code=0)
     scans, points = folder / "setups" / "1" / "executions" / "0001", beside / "points"
     points.mkdir()
     for path in sorted((scans / "scans").iterdir()):
@@ -158,89 +134,63 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     shutil.rmtree(scans.parent)
     first = (points / "0001.xyz").rename(beside / "kept.xyz")
     files = ("--acquire", "files:points", "--points-frame", "scanner", "--points-units", "mm")
-    done = run_cell("scan", "made", *files, cwd=beside)
-    assert done.returncode == 6
-    assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest takes them" in done.stderr
+    done = run_cell("scan", "made", *files, cwd=beside, code=6)
+    assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest scans them" in done.stderr
     assert not (folder / "setups" / "2" / "executions").exists()
     first.rename(points / "0001.xyz")
-    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside, code=0)
     assert json.loads(done.stdout)["missing_setups"] == [2]
     assert not (folder / "setups" / "2" / "executions").exists()
-    done = run_cell("scan", "made", "--resume", "latest", cwd=beside)
-    assert done.returncode == 2
-    assert "files:points has the points of set-up 1; start with cell scan made --setup 2" in done.stderr
+    done = run_cell("scan", "made", "--resume", "latest", cwd=beside, code=2)
+    assert "files:points has the points of set-up 1; run cell scan made --setup 2" in done.stderr
 
 
-def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: Run) -> None:
+def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: RunCommand) -> None:
     """A stopped execution of one view is not resumed: the set-up is scanned completely as a new execution."""
     beside = folder.parent
-    done = run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside, code=0)
     manifest = folder / "setups" / "1" / "executions" / "0001" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"status": "finished"', '"status": "interrupted"'))
-    done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside, code=0)
     report = json.loads(done.stdout)
     assert (report["missing_setups"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
 
 
-def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each confirmation of a motion names the pose of the part in its own set-up."""
-    asked: list[str] = []
-
-    def scan(session: Session[None], run: Path, _: object) -> None:
-        assert session.confirm is not None
-        assert session.confirm(f"{run.name} moves?") == "no"
-        raise UsageError("not confirmed; nothing was moved")
-
-    def answer(question: str) -> str:
-        asked.append(question)
-        return "no"
-
-    monkeypatch.setattr("cell.scan.setups.scan", scan)
+def test_the_confirmation_of_a_motion_names_the_pose_of_the_part(folder: Path, emulate: Emulate) -> None:
+    """The question names the set-up and its pose. Without a yes, no motion starts."""
+    emulated, questions = emulate("modbus", "--time-scale", "20"), list[str]()
+    session = Session(None, confirm=lambda question: questions.append(question) or "no")
+    with pytest.raises(UsageError, match="nothing was moved"):
+        scan_setups(session, folder, ScanOptions(driver=emulated.url, accept_time_scale=20.0), setup=2, resumed=False)
     planned = SetupsRun.opened(folder).file
-    for number, chosen in enumerate(planned.selected, start=1):
-        with pytest.raises(UsageError, match="not confirmed"):
-            scan_setups(
-                Session(None, confirm=answer),
-                folder,
-                ScanOptions(driver="modbus://nowhere"),
-                setup=number,
-                resumed=False,
-            )
-        assert asked[-1].startswith(
-            f"set-up {number} of 2: the part lies {planned.candidates[chosen.candidate].name}, "
-        )
-        assert asked[-1].endswith(f" deg. {number} moves?")
+    name = planned.candidates[planned.selected[1].candidate].name
+    assert questions[-1].startswith(f"set-up 2 of 2: the part lies {name}, ")
+    assert emulated.entries("move") == []
 
 
-def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: Run) -> None:
+def test_the_warning_about_a_displaced_part_is_repeated_when_resumed(folder: Path, run_cell: RunCommand) -> None:
     """The warning is reported before the first and before the resumed execution."""
     (folder.parent / "none").mkdir()
     files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
     for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
-        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent)
-        assert done.returncode == 6
+        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent, code=6)
         assert "the part may be displaced by up to 50" in done.stderr
 
 
-def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: Run) -> None:
+def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: RunCommand) -> None:
     """A run folder that is not the plan of setups.json is refused, and no execution is created."""
     setups = folder / "setups"
     (setups / "1").rename(setups / "3")
     (setups / "2").rename(setups / "1")
     (setups / "3").rename(setups / "2")
-    done = run_cell("scan", "made", "--setup", "1", cwd=folder.parent)
-    assert done.returncode == 6
+    done = run_cell("scan", "made", "--setup", "1", cwd=folder.parent, code=6)
     assert "setups/1 is not the plan that setups.json names" in done.stderr
     assert not (setups / "1" / "executions").exists()
 
 
-def test_programs_halt_before_each_set_up(folder: Path, run_cell: Run) -> None:
+def test_programs_halt_before_each_set_up(folder: Path, run_cell: RunCommand) -> None:
     """The main program sets the base, halts and calls the program of each run."""
-    done = run_cell("export", "made", "--name", "TURNED", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    run_cell("export", "made", "--name", "TURNED", "--json", cwd=folder.parent, code=0)
     lines = (folder / "export" / "TURNED.src").read_bytes().decode("ascii").split("\r\n")
     order = [line.split(" ;")[0] for line in lines if line.startswith(("$BASE", "HALT", "TURNED_"))]
     assert [line.split("=")[0] for line in order] == ["$BASE", "HALT", "TURNED_1( )", "$BASE", "HALT", "TURNED_2( )"]
@@ -262,7 +212,7 @@ def test_a_part_that_is_off_rests_on_its_post(planned: Path) -> None:
     np.testing.assert_allclose(after["floor"], before["floor"] + up[:3, 3])
 
 
-def test_a_part_that_may_stand_nearer_than_the_motion_is_clear_of_it_is_told(planned: Path) -> None:
+def test_a_displacement_above_the_clearance_has_a_warning(planned: Path) -> None:
     """A displacement of 5 mm and 2 deg moves the farthest point by a known distance. The warning begins there."""
     cell = read_cell(open_run(planned))
     centre = cell.scene.T_object_centre[:3, 3]

@@ -2,10 +2,9 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,8 +15,7 @@ from cell.plan.setup_candidates import Setup
 from cell.plan.setups import cause_of_omission
 from cell.runs.cell import read_cell
 from tests.seen_samples import seen_samples
-
-Cell = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture
@@ -26,59 +24,57 @@ def made(made_setups: Path) -> Path:
     return made_setups
 
 
-def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
+def test_the_set_ups_together_measure_the_reported_coverage(made: Path) -> None:
     """The coverage is the union of all runs on the held-out samples. The number of set-ups equals its bound."""
-    said = json.loads((made / "setups.json").read_text())
-    seen = [seen_samples(made / setup["folder"]) for setup in said["selected"]]
-    assert said["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
-    assert [setup["visible"] for setup in said["selected"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
-    assert sum(setup["marginal_coverage"] for setup in said["selected"]) == pytest.approx(
-        said["coverage"]["visible"], abs=1e-12
+    output = json.loads((made / "setups.json").read_text())
+    seen = [seen_samples(made / setup["folder"]) for setup in output["selected"]]
+    assert output["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
+    assert [setup["visible"] for setup in output["selected"]] == pytest.approx(
+        [each.mean() for each in seen], abs=1e-12
     )
-    assert said["coverage"]["visible_of_coverable"] >= 0.97
-    assert len(said["selected"]) == said["setups_bound"]
-    assert said["views"] == sum(setup["views"] for setup in said["selected"]) >= said["views_bound"] >= len(seen)
-    assert len(said["candidates"]) == 4
-    assert max(each["coverable"] for each in said["candidates"]) <= said["coverage"]["coverable"]
+    assert sum(setup["marginal_coverage"] for setup in output["selected"]) == pytest.approx(
+        output["coverage"]["visible"], abs=1e-12
+    )
+    assert output["coverage"]["visible_of_coverable"] >= 0.97
+    assert len(output["selected"]) == output["setups_bound"]
+    assert output["views"] == sum(setup["views"] for setup in output["selected"]) >= output["views_bound"] >= len(seen)
+    assert len(output["candidates"]) == 4
+    assert max(each["coverable"] for each in output["candidates"]) <= output["coverage"]["coverable"]
     assert "proven fewest of 4 set-up candidates" in " ".join(
         (made.parent / "stdout").read_text().replace("│", " ").split()
     )
     assert "## Set-up candidates" in (made / "report.md").read_text()
 
 
-def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """All runs have the same samples as rows and the digests of setups.json. A run is scanned like any other."""
-    said = json.loads((made / "setups.json").read_text())
-    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["selected"]]
+    output = json.loads((made / "setups.json").read_text())
+    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in output["selected"]]
     for other in points[1:]:
         np.testing.assert_array_equal(other, points[0])
-    for setup in said["selected"]:
+    for setup in output["selected"]:
         run = open_run(made / setup["folder"])
         assert run.digest == setup["digest"]
-        offered = said["candidates"][setup["candidate"]]
+        offered = output["candidates"][setup["candidate"]]
         assert list(run.report.settings.placement_mm) == offered["placement_mm"]
         assert list(run.report.settings.placement_abc_deg) == offered["placement_abc_deg"]
     shutil.copytree(made, tmp_path / "made")
-    done = run_cell("scan", "made/setups/1", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    done = run_cell("replay", "made", "--picture", "x.png", cwd=tmp_path)
-    assert done.returncode == 6
+    run_cell("scan", "made/setups/1", "--json", cwd=tmp_path, code=0)
+    done = run_cell("replay", "made", "--picture", "x.png", cwd=tmp_path, code=6)
     assert "made holds several set-ups; give the run folder of one of them: made/setups/1" in done.stderr
 
 
-def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
+def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: RunCommand) -> None:
     """`cell view` prints the page of each run. One output file for several pages is refused."""
-    done = run_cell("view", "made", "--no-open", cwd=made.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("view", "made", "--no-open", cwd=made.parent, code=0)
     for number in ("1", "2"):
         assert str(Path("made", "setups", number, "view.html")) in done.stdout
-    done = run_cell("view", "made", "--no-open", "--out", "x.html", cwd=made.parent)
-    assert done.returncode == 2
+    done = run_cell("view", "made", "--no-open", "--out", "x.html", cwd=made.parent, code=2)
     assert "holds several set-ups with a page each" in done.stderr
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "code", "message"),
     [
         (("--pin", "3"), 2, "--pin 3 must be candidates, each as SETUP:ID with the number of the set-up candidate"),
         (("--pin", "1:3"), 2, "candidate 1:3: there are 1 set-up candidates, 0 to 0"),
@@ -87,24 +83,19 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
         (("--pin", "0:3,0:4", "--max-views", "1"), 2, "2 views are pinned and at most 1 are allowed"),
         (("--pin", "0:3,1:4", "--max-setups", "1"), 2, "views of more than the 1 allowed set-ups are pinned"),
         (("--setup-seconds", "60"), 2, "--setup-seconds needs views with a cost in seconds; give --cost time as well"),
-        (
-            ("--setup-seconds", "60", "--cost", "time", "--max-setups", "1"),
-            2,
-            "both limit the number of set-ups",
-        ),
+        (("--setup-seconds", "60", "--cost", "time", "--max-setups", "1"), 2, "both limit the number of set-ups"),
         (("--proposals", "0"), 2, "there is no set-up candidate: give [[setup]] tables in the scene"),
         (("--place", "9000,0,100"), 4, "none of the 1 set-up candidates can be planned"),
     ],
 )
-def test_what_cannot_be_is_said(
-    options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: Cell, tmp_path: Path
+def test_invalid_requests_are_refused(
+    options: tuple[str, ...], code: int, message: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """An invalid request is refused with its exit code, and no finished folder is left."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
     small += ("--candidates", "optimal-scanning-zone")
-    done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path)
-    assert done.returncode == code, done.stderr
-    assert told in done.stderr
+    done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path, code=code)
+    assert message in done.stderr
     assert not (tmp_path / "made").exists()
 
 
@@ -137,36 +128,36 @@ fixtures = [{{ name = "{fixture}", shape = "box", position_mm = [1100, {y}, 0], 
 """
 
 
-def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_given_set_ups_are_planned_each_among_its_own_fixtures(
+    part_file: Path, run_cell: RunCommand, tmp_path: Path
+) -> None:
     """No set-up is proposed in addition. A set-up with the part in its fixture is left out with the reason."""
     scene = tmp_path / "cell.toml"
     scene.write_text(SCENE.format(part=part_file, third="stuck", angle=90, fixture="block", y=400))
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
-    said = json.loads((tmp_path / "made" / "setups.json").read_text())
-    assert [each["name"] for each in said["candidates"]] == ["upright", "over", "stuck"]
-    assert "block" in said["candidates"][2]["cause"]
+    output = json.loads((tmp_path / "made" / "setups.json").read_text())
+    assert [each["name"] for each in output["candidates"]] == ["upright", "over", "stuck"]
+    assert "block" in output["candidates"][2]["cause"]
     assert "the set-up 'stuck' is omitted: " in done.stderr
-    for setup in said["selected"]:
+    for setup in output["selected"]:
         run = open_run(tmp_path / "made" / setup["folder"])
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
         assert names == (["vise"] if setup["candidate"] == 1 else [])
-    done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path, code=2)
     assert "the scene has 3 set-ups, and cell plan plans one: use cell setups" in done.stderr
 
 
-def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_equal_set_ups_are_refused(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The error names both set-ups."""
     scene = tmp_path / "cell.toml"
     text = SCENE.format(part=part_file, third="again", angle=180, fixture="vise", y=560).replace("260]", "60]")
     scene.write_text(text)
-    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path, code=2)
     assert "'over' and 'again' are equal; omit one of them" in done.stderr
 
 
-def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
+def test_options_apply_to_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
     """A pinned candidate brings its set-up, a banned one is not selected. Two views may be of different set-ups."""
     made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
@@ -201,20 +192,20 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
         M = run.measurability
         matrices[str(setup.candidate)], areas = M.matrix().tocsc(), M.samples.areas
         assert json.loads((folder / "report.json").read_text())["overlap"]["views_without_earlier_overlap"] == 0
-    said = json.loads((tmp_path / "made" / "curve.json").read_text())
-    for point in said["points"][1:]:
+    output = json.loads((tmp_path / "made" / "curve.json").read_text())
+    for point in output["points"][1:]:
         views = [view.split(":") for view in point["views"]]
         seen = np.hstack([matrices[setup][:, [int(number)]].toarray() for setup, number in views]).any(axis=1)
         assert areas[seen].sum() / areas.sum() == pytest.approx(point["coverage"])
         assert point["upper_bound"] >= point["coverage"]
-    assert said["points"][-1]["coverage"] == pytest.approx(said["coverable"])
+    assert output["points"][-1]["coverage"] == pytest.approx(output["coverable"])
     assert made.file.curve is not None
-    assert made.file.curve.minimum_views[-1].views == len(said["points"]) - 1
+    assert made.file.curve.minimum_views[-1].views == len(output["points"]) - 1
     assert "![Coverage over the number of views" in (tmp_path / "made" / "report.md").read_text()
     assert (tmp_path / "made" / "curve.png").is_file()
 
 
-def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The coverage of each region is reached over all set-ups. A region without requirement has no entry."""
     (tmp_path / "cell.toml").write_text(
         SCENE.format(part=part_file, third="over and turned", angle=90, fixture="block", y=560).replace(
@@ -223,51 +214,45 @@ def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cel
         + '[[region]]\nname = "top"\nbox_mm = [-100, -100, 0, 100, 100, 100]\ncoverage = 0.95\n'
         '[[region]]\nname = "side"\nbox_mm = [0, -100, -100, 100, 100, 0]\ncare = "no"\n[[region]]\nname = "rest"\n'
     )
-    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", "--json", cwd=tmp_path, code=0)
     regions = {each["name"]: each for each in json.loads(done.stdout)["regions"]}
     assert set(regions) == {"top", "rest"}
     assert regions["top"]["visible_of_coverable"] >= regions["top"]["target"] == 0.95
     assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["target"] == 0.8
 
 
-def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A single set-up of several can be edited. It cannot be repaired, because the coverage belongs to all set-ups."""
     one = next(run for run in sorted((made / "setups").iterdir()) if len(open_run(run).candidate) > 1)
-    done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path, code=2)
     assert "is one of several set-ups" in done.stderr
-    done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path, code=0)
     assert "their combined coverage is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
-    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # in any folder
-    assert done.returncode == 2
+    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path, code=2)  # in any folder
     assert "is one of several set-ups" in done.stderr
     for run in (one, tmp_path / "edited"):
         assert "--repair" not in (run / "view.html").read_text()
 
 
-def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_faces_may_be_the_rows(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With `--fill rays` each set-up has the faces of the planning mesh as rows, without further samples."""
-    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "60", "--standoff", "250", "--coverage", "0.5")
-    wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
-    done = run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--standoff", "250", "--coverage", "0.5")
+    settings = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
+    run_cell("setups", part_file, *small, *settings, "--out", "made", cwd=tmp_path, code=0)
     run = open_run(tmp_path / "made" / "setups" / "1")
     assert run.report.settings.fill == "rays"
     planning = run.mesh("planning.ply")
     assert len(run.measurability.samples) == len(planning.faces)
 
 
-def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
+def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: RunCommand, tmp_path: Path) -> None:
     """A ball has no stable pose. This is reported, and four candidates are made by turning it."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
-    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
-    wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
-    done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "12", "--samples", "1", "--standoff", "250")
+    settings = ("--candidates", "optimal-scanning-zone", "--coverage", "0.3")
+    done = run_cell("setups", "ball.stl", *small, *settings, "--proposals", "6", "--out", "made", cwd=tmp_path, code=0)
     assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
     assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["candidates"]) == 4
 

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +12,7 @@ from cell.runs.schema import SetupsFile
 from cell.runs.setups import SetupsRun
 from cell.runs.verification import verify_plan
 from tests.seen_samples import seen_samples
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 SCENE = """
 [part]
@@ -35,14 +33,12 @@ coverage = 1.0
 
 
 @pytest.fixture(scope="module")
-def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
+def folder(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return the set-ups of the small part on a table, chosen from three candidates. The file `said` has the output."""
 
     def make(at: Path) -> None:
         (at / "cell.toml").write_text(SCENE.format(part=part_file))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the optimum of the small part is proven early
-            done = run_cell("setups", "--scene", "cell.toml", "--proposals", "3", "--out", "made", cwd=at)
+        done = run_cell("setups", "--scene", "cell.toml", "--proposals", "3", "--out", "made", cwd=at)
         assert done.returncode == 0, done.stderr
         (at / "said").write_text(done.stdout + done.stderr)
 
@@ -75,29 +71,27 @@ def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
     assert len(file.selected) == file.setups_bound == 2
 
 
-def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A part 5 mm and 2 deg off is located in each set-up. The exported programs have E1."""
     shutil.copytree(folder, tmp_path / "made")
     done = run_cell(
         "scan", "made", "--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1", "--json",
-        cwd=tmp_path,
+        cwd=tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     scanned = json.loads(done.stdout)
     assert scanned["missing_setups"] == []
     assert scanned["visible"] == pytest.approx(scanned["planned"], abs=0.02)
     for setup in scanned["setups"]:
         assert setup["localisation"]["error_mm"] <= 0.05
         assert setup["localisation"]["error_deg"] <= 0.02
-    done = run_cell("export", "made", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("export", "made", cwd=tmp_path, code=0)
     assert len(scanned["setups"]) == 2
     programs = sorted((tmp_path / "made" / "export").glob("*_[12].*"))
     assert programs
     assert sum("E1 " in program.read_text() for program in programs) >= 2
 
 
-def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_set_ups_beyond_the_table_are_left_out(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A set-up that swings too wide is left out with the reason of the table. The others are kept."""
     wide = '[[setup]]\nname = "far off"\nposition_mm = [1700, 400, 100]\n'
     near = '[[setup]]\nname = "upright"\nposition_mm = [1100, 400, 100]\n'
@@ -108,8 +102,7 @@ def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run,
         .replace("coverage = 1.0", "coverage = 0.5")
     )
     (tmp_path / "cell.toml").write_text(text + near + aside + wide)
-    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path, code=0)
     file = SetupsRun.opened(tmp_path / "made").file
     assert [bool(offer.cause) for offer in file.candidates] == [False, False, True]
     assert "swings through a circle of" in file.candidates[2].cause

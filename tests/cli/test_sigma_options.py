@@ -1,8 +1,6 @@
 """`--max-sigma` and `--noise model` on the command line."""
 
 import json
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +9,17 @@ import pytest
 
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
 def limited(
-    tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
+    tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand
 ) -> dict[str, Any]:
     """Return the small plan with a limit that its unlimited matrix exceeds."""
     folder = tmp_path_factory.mktemp("sigma")
     command = ("plan", str(part_file), "--units", "mm", *small_plan, "--max-sigma", "0.04", "--json", "--out", "run")
-    done = run_cell(*command, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = run_cell(*command, cwd=folder, code=0)
     return {"folder": folder / "run", "summary": json.loads(done.stdout)}
 
 
@@ -42,11 +38,10 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
     assert json.loads((limited["folder"] / "scene.resolved.json").read_text())["plan"]["max_sigma_mm"] == 0.04
 
 
-def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[str, Any], run_cell: Run) -> None:
+def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[str, Any], run_cell: RunCommand) -> None:
     """The achieved visible coverage is the predicted one, and the sigma of every point is within the limit."""
     folder = limited["folder"]
-    done = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent, code=0)
     report = json.loads(done.stdout)
     assert report["coverage"]["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
     assert sum(view["rays"]["too_uncertain"] for view in report["views"]) > 0
@@ -62,15 +57,16 @@ def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[s
         assert (sigma <= 0.04e-3 * (1 + 1e-9)).all(), view.id
 
 
-def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: Path, tmp_path: Path, run_cell: Run):
+def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(
+    planned: Path, tmp_path: Path, run_cell: RunCommand
+):
     """Equal seeds give equal scans. The noise is along the ray and standard normal in units of sigma."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")
     scans = []
     for extra in ((), ("--noise", "model"), ("--noise", "model")):
-        done = run_cell("scan", "run", "--resolution", "1", "--view", "1", *extra, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        run_cell("scan", "run", "--resolution", "1", "--view", "1", *extra, cwd=tmp_path, code=0)
         newest = sorted((tmp_path / "run" / "executions").iterdir())[-1]
         with np.load(newest / "scans" / "0001.npz") as stored:
             scans.append({name: stored[name] for name in ("points", "face", "T_object_scanner_true")})
@@ -104,13 +100,12 @@ def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: 
     ],
 )
 def test_invalid_options_are_refused(
-    command: tuple[str, ...], words: str, planned: Path, part_file: Path, tmp_path: Path, run_cell: Run
+    command: tuple[str, ...], words: str, planned: Path, part_file: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """Invalid options end with a message that names the valid values or the cause."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell(*(part_file if word == "PART" else word for word in command), cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
+    done = run_cell(*(part_file if word == "PART" else word for word in command), cwd=tmp_path, code=2)
     assert words in done.stderr.replace("\n", " ")
     assert "Traceback" not in done.stderr

@@ -1,8 +1,6 @@
 """`--max-spacing` on the command line, and the density of plans and scans."""
 
 import json
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +8,19 @@ import numpy as np
 import pytest
 
 from cell.scanners.laser_area import LaserArea
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 LIMIT_MM = 1.3  # at 250 mm and 0.25 deg points are 1.09 mm apart where the scanner faces the surface
 
 
 @pytest.fixture(scope="module")
 def limited(
-    tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
+    tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand
 ) -> dict[str, Any]:
     """Return the small plan with a limit on the distance of points."""
     folder = tmp_path_factory.mktemp("spacing")
     options = (*small_plan, "--max-spacing", str(LIMIT_MM), "--json", "--out", "run")
-    done = run_cell("plan", str(part_file), "--units", "mm", *options, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("plan", str(part_file), "--units", "mm", *options, cwd=folder, code=0)
     return {"folder": folder / "run", "summary": json.loads(done.stdout)}
 
 
@@ -48,17 +44,23 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
     assert len(both) > 100
     assert kept[0] == kept[1]
     assert kept[0]
-    told, without = limited["summary"]["spacing"], json.loads((planned / "report.json").read_text())
-    assert 1.0 < told["median_mm"] <= told["quantile_95_mm"] <= told["quantile_99_mm"] <= told["limit_mm"] == LIMIT_MM
+    message, without = limited["summary"]["spacing"], json.loads((planned / "report.json").read_text())
+    assert (
+        1.0
+        < message["median_mm"]
+        <= message["quantile_95_mm"]
+        <= message["quantile_99_mm"]
+        <= message["limit_mm"]
+        == LIMIT_MM
+    )
     assert without["spacing"]["limit_mm"] is None
     assert without["spacing"]["quantile_99_mm"] > LIMIT_MM
     assert 0 < limited["summary"]["coverage"]["coverable"] < without["coverage"]["coverable"]
 
 
-def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: Run) -> None:
+def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: RunCommand) -> None:
     """The achieved coverage is the predicted one. At most 1 % of it has no scan point within the planned density."""
-    done = run_cell("scan", "run", "--json", cwd=limited["folder"].parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "run", "--json", cwd=limited["folder"].parent, code=0)
     report = json.loads(done.stdout)
     coverage = report["coverage"]
     assert coverage["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
@@ -67,10 +69,9 @@ def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: Run
     assert sum(view["rays"]["too_sparse"] for view in report["views"]) > 0
 
 
-def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], run_cell: Run) -> None:
+def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], run_cell: RunCommand) -> None:
     """Both changes measure some of the uncovered surface. The change of spacing names its option."""
-    done = run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent)
-    assert done.returncode == 0, done.stderr
+    run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent, code=0)
     tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["all_changes"]
     for kind in ("spacing", "resolution"):
         assert max(change["estimated_gain"] for change in tried if change["kind"] == kind) > 0
@@ -87,9 +88,8 @@ def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], r
     ],
 )
 def test_invalid_limits_are_refused(
-    options: tuple[str, ...], words: str, part_file: Path, run_cell: Run, tmp_path: Path
+    options: tuple[str, ...], words: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """The error has exit code 2 and a remedy."""
-    done = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path, code=2)
     assert words in done.stderr

@@ -2,16 +2,14 @@
 
 import csv
 import json
-import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
 import pytest
 
 from cell.study.trials import Outcome, Trial, compute
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
@@ -42,13 +40,12 @@ def _no_processes() -> Iterator[None]:
 
 
 def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
-    part_file: Path, tmp_path: Path, run_cell: Run, drawn_pictures: None
+    part_file: Path, tmp_path: Path, run_cell: RunCommand, drawn_pictures: None
 ) -> None:
     """The page has the command for each row. A repeated study computes nothing and has equal bytes."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     words = ("study", "standoff", part_file, "--units", "mm", "--scene", "coarse.toml", "--processes", "1")
-    done = run_cell(*words, "--values", "210,310", "--out", "a", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell(*words, "--values", "210,310", "--out", "a", cwd=tmp_path, code=0)
     assert "2 trials computed now" in done.stdout
     done = run_cell("view", "a", "--no-open", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "a/view.html\n"), done.stderr
@@ -57,8 +54,7 @@ def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
     rows = list(csv.DictReader((tmp_path / "a" / "rows.csv").read_text().splitlines()))
     assert [row["standoff mm"] for row in rows] == ["210.0", "310.0"]
     assert all(int(row["fewest views"]) <= int(row["views"]) for row in rows)
-    done = run_cell(*words, "--values", "210,310", "--out", "b", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell(*words, "--values", "210,310", "--out", "b", "--json", cwd=tmp_path, code=0)
     assert json.loads(done.stdout)["computed"] == 0
     names = ("rows.csv", "seconds.csv", "study.json", "report.md", "view.html", "standoff.png", "standoff.svg")
     for name in names:
@@ -66,13 +62,12 @@ def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
 
 
-def test_an_added_value_computes_one_trial(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_an_added_value_computes_one_trial(part_file: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """The outcomes of the other standoffs are read from the cache."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     options = ("--units", "mm", "--scene", "coarse.toml", "--processes", "1", "--json")
     arguments = ("study", "standoff", part_file, *options)
-    first = run_cell(*arguments, "--values", "200,250", "--out", "a", cwd=tmp_path)
-    assert first.returncode == 0, first.stderr
+    first = run_cell(*arguments, "--values", "200,250", "--out", "a", cwd=tmp_path, code=0)
     assert json.loads(first.stdout)["computed"] == 2
     second = run_cell(*arguments, "--values", "200,250,300", "--out", "b", cwd=tmp_path)
     answer = json.loads(second.stdout)
@@ -83,15 +78,14 @@ def test_an_added_value_computes_one_trial(part_file: Path, tmp_path: Path, run_
 
 
 def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
-    part_file: Path, run_cell: Run, tmp_path: Path
+    part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """At 9 m nothing is reachable: the row has coverage 0, and the study does not fail."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     done = run_cell(
         "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",
-        "--processes", "1", "--out", "map", "--json", cwd=tmp_path,
+        "--processes", "1", "--out", "map", "--json", cwd=tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     near, far = answer["rows"]
     assert (near["x mm"], far["x mm"]) == (1000, 9000)
@@ -129,16 +123,10 @@ def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_bad_input_gets_one_sentence_and_its_code(
-    arguments: tuple[str, ...],
-    code: int,
-    words: str,
-    part_file: Path,
-    run_cell: Run,
-    tmp_path: Path,
+    arguments: tuple[str, ...], code: int, words: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """The error has no traceback, nothing on stdout, and no folder is created."""
-    done = run_cell(*(part_file if word == "PART" else word for word in arguments), cwd=tmp_path)
-    assert done.returncode == code, done.stderr
+    done = run_cell(*(part_file if word == "PART" else word for word in arguments), cwd=tmp_path, code=code)
     assert words in done.stderr
     assert done.stdout == ""
     assert not (tmp_path / "sim_runs").exists()

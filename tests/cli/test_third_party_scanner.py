@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 
 import cell.scanners
 from cell.errors import SceneError
+from tests.support.fixture_types import RunCommand
 
 PACKAGE = Path(__file__).parents[1] / "third_party_scanner"
 
@@ -40,15 +40,14 @@ def on_path(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("on_path")
 def test_a_plan_is_made_with_a_scanner_of_another_distribution(
-    run_cell: Callable[..., subprocess.CompletedProcess[str]], part_file: Path, tmp_path: Path
+    run_cell: RunCommand, part_file: Path, tmp_path: Path
 ) -> None:
     """The scene has the scanner's key, the scanner's model decides on measurability, and its parameters are stored."""
     scene = tmp_path / "cell.toml"
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
     arguments += ["--candidates", "optimal-scanning-zone"]
-    done = run_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path, code=0)
     summary = json.loads(done.stdout)
     assert summary["settings"]["scanner"] == "cone"
     assert summary["coverage"]["visible"] > 0.5
@@ -65,13 +64,10 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
 
 
 @pytest.mark.usefixtures("on_path")
-def test_its_unknown_key_is_refused_with_a_hint(
-    run_cell: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
-) -> None:
+def test_its_unknown_key_is_refused_with_a_hint(run_cell: RunCommand, tmp_path: Path) -> None:
     """The hint names a key among the arguments of the scanner's class."""
     (tmp_path / "cell.toml").write_text('[scanner]\ntype = "cone"\nhalf_angel_deg = 20.0\n', encoding="utf-8")
-    done = run_cell("check", "cell.toml", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("check", "cell.toml", cwd=tmp_path, code=2)
     assert "scanner.half_angel_deg is an unknown key of cone; did you mean 'half_angle_deg'?" in done.stderr
 
 
@@ -143,3 +139,17 @@ def test_a_broken_plug_in_gets_an_error_that_names_its_distribution(
         cell.scanners.make("broken", {})
     assert "distribution acme-scanners 2.1" in str(caught.value)
     assert "fov_deg" in (cell.scanners.keys("laser-area") or ())
+
+
+def test_two_distributions_with_one_name_of_a_scanner_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error names both distributions."""
+    for distribution in ("acme", "rival"):
+        info = tmp_path / f"{distribution}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[cell.scanners]\ncone = {distribution}_cone:Cone\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(SceneError, match=r"acme_cone.* and .*rival_cone|rival_cone.* and .*acme_cone"):
+        cell.scanners.load("cone")

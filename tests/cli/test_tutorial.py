@@ -2,14 +2,13 @@
 
 import re
 import shlex
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import typer
 
 from cell.cli import app
+from tests.support.fixture_types import RunCommand
 
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text(encoding="utf-8")
 
@@ -31,10 +30,9 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_cell_is_right(workplace: Path, run_cell: Callable[..., Any]) -> None:
+def test_the_cell_is_right(workplace: Path, run_cell: RunCommand) -> None:
     """The first command reports no problem."""
-    done = run_cell(*COMMANDS[0], cwd=workplace)
-    assert done.returncode == 0, done.stderr
+    done = run_cell(*COMMANDS[0], cwd=workplace, code=0)
     assert "warning" not in done.stdout
 
 
@@ -48,7 +46,7 @@ def test_the_commands_exist(words: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_the_commands_run(workplace: Path, run_cell: Callable[..., Any]) -> None:
+def test_the_commands_run(workplace: Path, run_cell: RunCommand) -> None:
     """All commands run unchanged in the order of the page. The plan is proven, and the edited plan is scanned."""
     for words in COMMANDS:
         done = run_cell(*words, cwd=workplace)

@@ -19,6 +19,7 @@ from cell.view.run_pages import part_surface
 from cell.view.surface import MeasuredSamples, canvas_of
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
+from tests.support.fixture_types import RunCommand
 
 _LATER = "const later = (ms) => new Promise((done) => setTimeout(done, ms));"
 _TOUCH = f"""(async () => {{ {_LATER}
@@ -66,7 +67,7 @@ def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
     browser.click(*found.pop("at"))
     found |= browser.run(_PLAY)
     assert browser.faults() == []
-    assert browser.asked() == []
+    assert browser.requests() == []
     assert found.pop("selected").startswith("view2, candidate")
     assert f"cell edit {planned} --drop 2 --repair" in found.pop("commands")
     assert found == {"hides": True, "shows": True, "recolours": True, "inset": True, "plays": True}
@@ -75,7 +76,7 @@ def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
 
 @pytest.fixture(scope="module")
 def pages(
-    planned: Path, executed: Path, run_cell: Callable[..., Any], drawn: Callable[[], Any], tmp_path_factory: Any
+    planned: Path, executed: Path, run_cell: RunCommand, drawn: Callable[[], Any], tmp_path_factory: Any
 ) -> list[Path]:
     """Return pages of an execution, a scene, `cell why` and `cell diff`."""
     folder = tmp_path_factory.mktemp("pages")
@@ -89,17 +90,19 @@ def pages(
     return [scan, *(folder / name for name in ("scene.html", "run/why/view.html", "diff.html"))]
 
 
+@pytest.mark.slow
 def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
     """Each page is drawn in each of its colours, without requests and without errors."""
     for page in pages:
         browser.open(page.as_uri())
         titles = browser.run(_EVERY_COLOUR)
-        assert (browser.faults(), browser.asked()) == ([], []), page
+        assert (browser.faults(), browser.requests()) == ([], []), page
         assert coloured(browser) > 500, page
         if page == pages[0]:
             assert {"Number of views", "Spacing of points", "Deviation"} <= set(titles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chromium", [("--disable-3d-apis",)], indirect=True)
 def test_without_webgl_a_page_reports_it_and_shows_its_numbers(chromium: Any, planned: Path) -> None:
     """The page has a sentence about WebGL and the list of views."""
@@ -109,12 +112,11 @@ def test_without_webgl_a_page_reports_it_and_shows_its_numbers(chromium: Any, pl
     assert "view1, candidate" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "chromium", [("--window-size=400,300",)], indirect=True
 )  # software rendering takes time for each pixel
-@pytest.mark.parametrize(
-    ("subdivisions", "views", "points"), [(5, 20, 30_000), pytest.param(8, 200, 1_000_000, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("subdivisions", "views", "points"), [(5, 20, 30_000), (8, 200, 1_000_000)])
 def test_a_large_page_is_drawn_quickly(
     subdivisions: int, views: int, points: int, chromium: Any, planned: Path, tmp_path: Path
 ) -> None:
@@ -151,4 +153,4 @@ def test_a_large_page_is_drawn_quickly(
     chromium.open(page.as_uri())
     chromium.run(_FIRST_FRAME)
     assert chromium.busy() - before <= 5.0
-    assert (chromium.faults(), chromium.asked()) == ([], [])
+    assert (chromium.faults(), chromium.requests()) == ([], [])

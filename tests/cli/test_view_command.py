@@ -1,19 +1,16 @@
 """`cell view` end to end."""
 
 import re
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from cell.cli.terminal import Terminal
 from cell.view import view_command
+from tests.support.fixture_types import RunCommand
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 
-
-def test_a_run_is_never_changed(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_a_run_is_never_changed(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The page in the run folder is opened. A new page is written elsewhere, and never into the folder."""
     before = sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*"))
     done = run_cell("view", planned, "--no-open", cwd=tmp_path)
@@ -27,7 +24,7 @@ def test_a_run_is_never_changed(planned: Path, run_cell: Run, tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The page has the deviation and the cloud. A second page has the same bytes."""
     folder = executed / "executions" / "0001"
     page = (folder / "view.html").read_text(encoding="utf-8")
@@ -35,15 +32,13 @@ def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, 
     assert '"kind":"signed"' in page
     assert '"cloud":{"low"' in page
     assert (folder / "report.md").read_text().splitlines()[0].endswith("([view](view.html))")
-    done = run_cell("view", folder, "--no-open", "--out", "again.html", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("view", folder, "--no-open", "--out", "again.html", cwd=tmp_path, code=0)
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 
 
-def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
+def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The page of the built-in scene has its contacts at home. A part in the pedestal is a problem in the page."""
-    done = run_cell("view", "--no-open", "--out", "a.html", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("view", "--no-open", "--out", "a.html", cwd=tmp_path, code=0)
     assert "contacts at home" in (tmp_path / "a.html").read_text()
     part = f'[part]\npath = "{part_file}"\nunits = "mm"\n'
     (tmp_path / "mine.toml").write_text(f"{part}[placement]\nposition_mm = [0, 0, 0]\n")

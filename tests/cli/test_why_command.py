@@ -2,19 +2,17 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-Cell = Callable[..., "object"]
+from tests.support.fixture_types import RunCommand
 
 
-def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The table has its title, the files are named, suggested commands have each option once, and stderr is empty."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path, code=0)
     assert done.stderr == ""
     assert "Uncovered surface" in done.stdout
     assert "files: run/why" in done.stdout
@@ -24,19 +22,18 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
     assert written == ["view.html", "why.json", "why.ply", "why.png"]
 
 
-def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """Stdout is the content of why.json. Visible and open shares sum to one, and the groups sum to the open share."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
+    done = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path, code=0)
+    output = json.loads(done.stdout)
     kept = json.loads((tmp_path / "run" / "why" / "why.json").read_text())
-    assert {key: value for key, value in kept.items() if key != "schema"} == said
-    assert abs(said["visible"] + said["uncovered"] - 1) < 1e-9
-    assert abs(sum(group["share"] for group in said["groups"]) - said["uncovered"]) < 1e-9
+    assert {key: value for key, value in kept.items() if key != "schema"} == output
+    assert abs(output["visible"] + output["uncovered"] - 1) < 1e-9
+    assert abs(sum(group["share"] for group in output["groups"]) - output["uncovered"]) < 1e-9
 
 
-def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A missing folder and an unfinished run have exit code 6. A request without samples has 2."""
     assert run_cell("why", "nowhere", cwd=tmp_path).returncode == 6
     none = run_cell("why", str(planned), "--samples", "0", cwd=tmp_path)
@@ -44,31 +41,28 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_pat
     shutil.copytree(planned, tmp_path / "run.part")
     manifest = json.loads((tmp_path / "run.part" / "manifest.json").read_text()) | {"status": "failed"}
     (tmp_path / "run.part" / "manifest.json").write_text(json.dumps(manifest))
-    failed = run_cell("why", "run.part", cwd=tmp_path)
-    assert failed.returncode == 6
+    failed = run_cell("why", "run.part", cwd=tmp_path, code=6)
     assert "no finished plan" in failed.stderr
 
 
-def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_complete_coverage_is_reported(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With one sample, which the plan measures, no reason is given, and the four files are written."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--samples", "1", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("why", "run", "--samples", "1", cwd=tmp_path, code=0)
     assert "the whole surface is covered" in done.stdout
     assert len(list((tmp_path / "run" / "why").iterdir())) == 4
 
 
-def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A second set-up never reduces the coverage. Every command is the command of the plan with another placement."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--advise", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
+    done = run_cell("why", "run", "--advise", "--json", cwd=tmp_path, code=0)
+    output = json.loads(done.stdout)
     visible = json.loads((tmp_path / "run" / "plan.json").read_text())["coverage"]["visible"]
-    assert said["visible"] == pytest.approx(visible, abs=2e-4)
-    commands = [advice["command"] for advice in said["advice"]]
+    assert output["visible"] == pytest.approx(visible, abs=2e-4)
+    commands = [advice["command"] for advice in output["advice"]]
     assert len(set(commands)) == len(commands) == 8
-    for advice in said["advice"]:
+    for advice in output["advice"]:
         words = advice["command"].split()
         is_further = "second set-up" in advice["description"]
         assert words[:2] == ["cell", "setups" if is_further else "plan"]

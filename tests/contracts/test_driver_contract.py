@@ -8,19 +8,16 @@ that is no URL is a protocol of `cell emulate`; its controller runs in a separat
 
 import os
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from drivers.contract import Driver, Mode, Result
 from drivers.errors import DriverUrlError, NotConnectedError, RefusedError, SetPointError
-from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import PER_DEGREE, SetPoints, from_rad
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
+from tests.support.fixture_types import Emulate
 
 URLS = os.environ.get("CELL_DRIVER_URLS", "sim:// sim://?realtime&time_scale=10000 serial modbus modbus-rtu").split()
 SPEED = 0.1
@@ -30,7 +27,7 @@ SPEED = 0.1
 def url_of(request: pytest.FixtureRequest) -> Callable[[str], str]:
     """Return a function from an entry of URLS to its URL; each protocol starts an emulated controller."""
     protocols = [entry for entry in URLS if "://" not in entry]
-    emulate: Callable[..., Any] | None = request.getfixturevalue("emulate_for_all") if protocols else None
+    emulate: Emulate | None = request.getfixturevalue("emulate_for_all") if protocols else None
     running = {entry: emulate(entry, "--time-scale", "1000") for entry in protocols if emulate}
     return lambda entry: str(running[entry].url) if entry in running else entry
 

@@ -25,10 +25,7 @@ def make(seed: int, sizes: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
 
 @pytest.mark.parametrize("sizes", [[], [1], [2, 3], [1, 1, 1], [3] * 7, [1, 6, 2, 5, 3] * 2])
 def test_an_order_is_a_permutation_with_its_own_times(sizes: list[int]) -> None:
-    """Each view is visited once with one of its configurations.
-
-    The duration is the sum of the moves, within the bounds.
-    """
+    """Each view is visited once with one of its configurations."""
     configurations, poses = make(len(sizes), sizes)
     found = order_views(TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), budget=500)
     assert sorted(found.order) == list(range(len(sizes)))
@@ -64,10 +61,7 @@ def test_leaving_from_another_view_is_refused(leave: list[int]) -> None:
 
 @pytest.mark.parametrize("size", [9, 24])
 def test_a_warm_tour_is_never_longer_than_its_start(size: int) -> None:
-    """The tour over some of the views is no longer than the earlier order with its best configurations.
-
-    With added views it is no longer than the earlier tour plus a move from home and back for each of them.
-    """
+    """The tour over some of the views is no longer than the earlier order with its best configurations."""
     configurations, poses = make(size, [3] * size)
     before = order_views(
         TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(1), budget=400

@@ -6,7 +6,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,14 @@ from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.wires.serial_link import SerialPort
 from tests.support.driver_bench import KR16, WIRES, turned
+from tests.support.fixture_types import Emulate
 
 ARM = Context(KR16)
 LONG_TIMEOUTS = "watchdog_ms=1800&timeout_ms=600"  # a slow machine is no fault
 
 
 @pytest.mark.parametrize("protocol", ["serial", pytest.param("modbus-rtu", marks=pytest.mark.slow)])
-def test_a_killed_controller_comes_back(protocol: str, emulate: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_killed_controller_comes_back(protocol: str, emulate: Emulate, tmp_path: Path) -> None:
     """Killed during a move: state unknown; then a stop opens the line again, and the arm kept its position."""
     link = tmp_path / "kr16"
     first = emulate(protocol, "--link", str(link))
@@ -60,7 +60,7 @@ def test_a_killed_controller_comes_back(protocol: str, emulate: Callable[..., An
         assert driver.move(state.axes[None].copy(), 1.0).mode is Mode.IN_POSITION
 
 
-def test_the_watchdog_stops_the_arm_of_a_lost_client(emulate: Callable[..., Any]) -> None:
+def test_the_watchdog_stops_the_arm_of_a_lost_client(emulate: Emulate) -> None:
     """A socket closes during a move; the next client reads the fault and resets it."""
     emulated = emulate("modbus", "--time-scale", "2")
     lost: Any = open_driver(emulated.url + "&watchdog_ms=600&timeout_ms=200", ARM)
@@ -80,7 +80,7 @@ def test_the_watchdog_stops_the_arm_of_a_lost_client(emulate: Callable[..., Any]
         assert driver.reset().fault_code == 0
 
 
-def test_two_clients_are_one_owner_at_a_time(emulate: Callable[..., Any]) -> None:
+def test_two_clients_are_one_owner_at_a_time(emulate: Emulate) -> None:
     """The second client takes the arm from a silent first one, which must stop before its next move. Both may stop."""
     emulated = emulate("modbus", "--time-scale", "200")
     url = emulated.url + "&watchdog_ms=900&timeout_ms=300"
@@ -96,7 +96,7 @@ def test_two_clients_are_one_owner_at_a_time(emulate: Callable[..., Any]) -> Non
     assert [entry["set_points"][0][0] for entry in emulated.entries("move")] == [10_000, 20_000, 30_000]
 
 
-def test_ctrl_c_ends_an_emulator_in_order(emulate: Callable[..., Any]) -> None:
+def test_ctrl_c_ends_an_emulator_in_order(emulate: Emulate) -> None:
     """No fault is latched after it, and the position is that of the last move, to the count."""
     first = emulate("modbus", "--time-scale", "200")
     with open_driver(first.url, ARM) as driver:
@@ -109,7 +109,7 @@ def test_ctrl_c_ends_an_emulator_in_order(emulate: Callable[..., Any]) -> None:
         assert state.boot == 2
 
 
-def test_a_wrong_baud_rate(emulate: Callable[..., Any]) -> None:
+def test_a_wrong_baud_rate(emulate: Emulate) -> None:
     """9,600 baud against 115,200 is an error; at the right speed the same port works."""
     emulated = emulate("serial", "--baud", "9600")
     path = emulated.url.split("?")[0]
@@ -187,11 +187,10 @@ def test_another_protocol_at_the_port_is_a_link_error() -> None:
             thread.join()
 
 
-@pytest.mark.parametrize("axes", [6, 7])
-@pytest.mark.parametrize("moves", [6, pytest.param(60, marks=pytest.mark.slow)])
-def test_a_soak_over_real_processes(
-    moves: int, axes: int, emulate: Callable[..., Any], request: pytest.FixtureRequest
-) -> None:
+@pytest.mark.parametrize(
+    ("moves", "axes"), [(6, 7), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((6, 6), (60, 6), (60, 7)))]
+)
+def test_a_soak_over_real_processes(moves: int, axes: int, emulate: Emulate, request: pytest.FixtureRequest) -> None:
     """Moves of the arm, and of arm and rotary table, with 2 % of every fault over all wires in parallel."""
     run = () if axes == 6 else ("--run", str(request.getfixturevalue("turned")))
     limits = KR16 if axes == 6 else Limits.from_rad(open_run(Path(run[1])).motion.limits)

@@ -1,12 +1,10 @@
 """`cell explore` on a wire: each batch is confirmed by its own digest, or all by one option, before any motion."""
 
 import re
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from cell.runs import schema
+from tests.support.fixture_types import Emulate, RunCommand
 
 OPTIONS = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
@@ -15,30 +13,19 @@ OPTIONS = (
 )  # fmt: skip
 
 
-def test_every_batch_waits_for_a_word(
-    tmp_path: Path,
-    part_file: Path,
-    emulate: Callable[..., Any],
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
-) -> None:
-    """Without confirmation no motion starts.
-
-    A digest confirms its batch only, and `explore` confirms the remaining batches.
-    """
+def test_every_batch_waits_for_a_word(tmp_path: Path, part_file: Path, emulate: Emulate, run_cell: RunCommand) -> None:
+    """Without confirmation no motion starts."""
     emulated, out = emulate("modbus", "--time-scale", "20"), tmp_path / "out"
     command = ("explore", part_file, "--units", "mm", *OPTIONS, "--driver", emulated.url, "--out", out)
-    refused = run_cell(*command, cwd=tmp_path)
-    assert refused.returncode == 2, refused.stderr
+    refused = run_cell(*command, cwd=tmp_path, code=2)
     assert emulated.entries("move") == []
     first = re.search(r"--confirm-motion ([0-9a-f]{8})", refused.stderr)
     assert first, refused.stderr
-    refused = run_cell(*command, "--confirm-motion", first[1], cwd=tmp_path)
-    assert refused.returncode == 2, refused.stderr
+    run_cell(*command, "--confirm-motion", first[1], cwd=tmp_path, code=2)
     moved = len(emulated.entries("move"))
     assert moved > 0
     known = schema.read_explore_file(out / "explore.json")
     assert [stage.digest[:8] for stage in known.batches] == [first[1]]
-    done = run_cell(*command, "--confirm-motion", "explore", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell(*command, "--confirm-motion", "explore", cwd=tmp_path, code=0)
     assert len(emulated.entries("move")) > moved
     assert schema.read_explore_file(out / "explore.json").views == 2

@@ -4,7 +4,6 @@ import io
 import json
 import resource
 import struct
-import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,8 +18,7 @@ from cell.errors import CellError, FileError, SceneError
 from cell.part import workpiece
 from cell.runs.run import npz_arrays
 from cell.scene.file import load_scene
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 def _clean(rows: list[dict[str, Any]]) -> None:
@@ -100,7 +98,18 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
     ),
     "an STL with corners that are words": (
         "x.stl", b"solid\nfacet normal a b c\nvertex a b c\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n",
-        "without three numbers",
+        "a vertex that cannot be read, line 3: a b c; it needs three numbers",
+    ),
+    "an OBJ with an infinite index": (
+        "x.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 inf\n", "a number that is not an integer"
+    ),
+    "an OFF with a size that is not a number": (
+        "x.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\nnan 0 1 2\n", "a number that is not an integer"
+    ),
+    "a PLY with an infinite length": (
+        "x.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n1e999 0 1 2\n",
+        "is cut short",
     ),
 }  # fmt: skip
 
@@ -158,7 +167,9 @@ def test_a_crafted_scene_is_refused_in_one_sentence(case: str, tmp_path: Path) -
     ("replay", "{long}"),
     ("check", "--scene", "{long}.toml"),
 ])  # fmt: skip
-def test_a_name_that_no_file_can_have_is_no_bug(arguments: tuple[str, ...], tmp_path: Path, run_cell: Run) -> None:
+def test_a_name_that_no_file_can_have_is_no_bug(
+    arguments: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
+) -> None:
     """A name of more than 255 bytes ends with the exit code of files or of the scene."""
     done = run_cell(*(word.format(long="n" * 300) for word in arguments), cwd=tmp_path)
     assert done.returncode in (2, 6), done.stderr
@@ -177,7 +188,7 @@ def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["plan.json", "scene.resolved.json", "manifest.json"])
-def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """A file nested 100,000 times is refused by every command that reads it."""
     import shutil
 
@@ -188,8 +199,7 @@ def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Pat
         (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "run" / name).write_text('{"views": ' + "[" * 100_000)
     for command in (("export", "run"), ("scan", "run"), ("replay", "run", "--picture", "x.png")):
-        done = run_cell(*command, cwd=tmp_path)
-        assert done.returncode == 6, done.stderr
+        done = run_cell(*command, cwd=tmp_path, code=6)
         assert done.stderr.count("\n") == 1
 
 
@@ -216,7 +226,7 @@ def _liar() -> bytes:
 
 
 @pytest.mark.parametrize("made", [lambda: _bomb(1 << 28), _liar], ids=["bomb", "liar"])
-def test_what_a_file_holds_bounds_what_is_allocated(made: Callable[[], bytes]) -> None:
+def test_allocation_is_bounded_by_the_size_of_the_file(made: Callable[[], bytes]) -> None:
     """An npz that expands a thousand times or announces a terabyte is refused without allocating that size."""
     content = made()
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

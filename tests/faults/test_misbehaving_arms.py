@@ -95,12 +95,7 @@ ARMS: dict[str, tuple[Callable[[RobotState, float], RobotState], type[DriverErro
     ),
     "trembles": (lambda s, t: moving(s, 1e-4 * (round(100 * t) % 5), 3000), OverdueError, "without progress", 7.5),
     "swings": (lambda s, t: moving(s, 5 * np.sin(t), 3000), PathError, r"A1 is at \d.*deg off, and the limit is", 8.5),
-    "creeps": (
-        lambda s, t: moving(s, 0.1 * t, min(round(50 * t), 9000)),
-        OverdueError,
-        "s of motion instead of",
-        8.5,
-    ),
+    "creeps": (lambda s, t: moving(s, 0.1 * t, min(round(50 * t), 9000)), OverdueError, "s of motion instead of", 8.5),
     "has override 0": (lambda s, t: replace(moving(s, 0, 0), override=0), OverdueError, "override 0 %", 7.5),
     "arrives at once": (lambda s, t: arrived(s), ArrivalError, "did not drive it, or is faster than real time", 2.0),
     "arrives in half the time": (

@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +21,7 @@ from cell.runs.run import open_finished
 from cell.scan.options import ScanOptions
 from cell.scan.scan import resume
 from cell.session import Session
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
-Start = Callable[..., "subprocess.Popen[str]"]
+from tests.support.fixture_types import Emulate, RunCommand, StartCommand
 
 _FAST = ("--time-scale", "20")
 
@@ -87,9 +84,9 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     protocol: str,
     run_folder: Path,
     undisturbed: dict[str, bytes],
-    emulate: Callable[..., Any],
-    run_cell: Run,
-    start_cell: Start,
+    emulate: Emulate,
+    run_cell: RunCommand,
+    start_cell: StartCommand,
 ) -> None:
     """After SIGKILL the controller stops by itself; the resumed scans equal those of an undisturbed execution."""
     emulated = emulate(protocol, *_FAST)
@@ -116,21 +113,20 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     assert len(manifest["resumptions"]) == 1
     assert manifest["digest"] == open_finished(run_folder).digest
     assert (manifest["resumptions"][0].get("path_digest", "")[:8] == word[1]) == (word != _word(run_folder))
-    done = run_cell(*again, cwd=run_folder.parent)
-    assert done.returncode == 2
+    done = run_cell(*again, cwd=run_folder.parent, code=2)
     assert "nothing to resume" in done.stderr
 
 
 def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
-    run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run, start_cell: Start
+    run_folder: Path, undisturbed: dict[str, bytes], emulate: Emulate, run_cell: RunCommand, start_cell: StartCommand
 ) -> None:
     """A killed emulator gives exit code 5; after its restart the arm is at the same position."""
     emulated = emulate("modbus", *_FAST)
     process = start_cell("scan", run_folder, *_BEGIN, *_SCALE, *_word(run_folder), "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(emulated.process.pid, signal.SIGKILL)
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 5, said
+    _, output = process.communicate(timeout=120)
+    assert process.returncode == 5, output
     restarted = emulate("modbus", *_FAST, beside=emulated)
     again = ("scan", run_folder, "--resume", "0001", "--driver", restarted.url, "--speed", "1", "--reset", *_SCALE)
     done = run_cell(*again, *_word(run_folder), cwd=run_folder.parent)
@@ -141,7 +137,7 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
 
 
 def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
-    executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+    executed_folder: Path, undisturbed: dict[str, bytes], run_cell: RunCommand
 ) -> None:
     """After a failure the simulated arm is at home again. A new path to the first missing view is planned."""
     execution = executed_folder / "executions" / "0001"
@@ -150,14 +146,13 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
     for name in missing:
         (execution / "scans" / name).unlink()
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
-    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent, code=0)
     assert "a new path to view 2 was planned" in done.stderr
     assert _scans(execution) == undisturbed
 
 
 @pytest.fixture(scope="module")
-def standing(emulate_for_all: Callable[..., Any]) -> Any:
+def standing(emulate_for_all: Emulate) -> Any:
     """Yield a controller whose arm the tests do not move."""
     return emulate_for_all("modbus", *_FAST)
 
@@ -172,7 +167,7 @@ class _Told:
         self.notes.append(sentence)
 
 
-def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, standing: Any) -> None:
+def test_the_new_path_is_reported_before_the_confirmation(executed_folder: Path, standing: Any) -> None:
     """The new path is reported before the question. Without a yes, no motion starts and the files are unchanged."""
     execution = executed_folder / "executions" / "0001"
     for name in list(_scans(execution))[1:]:
@@ -199,7 +194,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
     ("status", "torn"), [("failed", True), pytest.param("finished", True, marks=pytest.mark.slow), ("finished", False)]
 )
 def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
-    status: str, torn: bool, executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
+    status: str, torn: bool, executed_folder: Path, undisturbed: dict[str, bytes], run_cell: RunCommand
 ) -> None:
     """The arm passes the views with valid scans without scanning them, for every status of the execution."""
     execution = executed_folder / "executions" / "0001"
@@ -209,8 +204,7 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))
-    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent, code=0)
     assert ("0002.npz" if torn else "0099.npz") in done.stderr
     assert "1 remain (2)" in done.stderr
     (execution / "scans" / "0099.npz").unlink(missing_ok=True)
@@ -219,28 +213,26 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     assert _scans(execution) == undisturbed
 
 
-@pytest.mark.parametrize("protocol", ["serial", pytest.param("modbus", marks=pytest.mark.slow), "modbus-rtu"])
+@pytest.mark.parametrize(
+    "protocol", ["modbus-rtu", *(pytest.param(each, marks=pytest.mark.slow) for each in ("serial", "modbus"))]
+)
 def test_every_wire_gives_the_same_scans_to_the_bit(
-    protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run
+    protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Emulate, run_cell: RunCommand
 ) -> None:
     """Set-points are integers on every wire, so the reported poses are the same numbers."""
     emulated = emulate(protocol, "--time-scale", "1000")
-    done = run_cell(
+    run_cell(
         "scan", str(run_folder), *_BEGIN, *_word(run_folder), "--accept-time-scale", "1000", "--driver", emulated.url,
-        cwd=run_folder.parent,
+        cwd=run_folder.parent, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     assert _scans(run_folder / "executions" / "0001") == undisturbed
     moved = [entry for entry in emulated.entries("move")]
     assert len(moved) >= len(undisturbed)
 
 
-def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
-    run_folder: Path, standing: Any, run_cell: Run
-) -> None:
+def test_hardware_is_refused_without_confirmation(run_folder: Path, standing: Any, run_cell: RunCommand) -> None:
     """Without a terminal and --confirm-motion the command exits with 2, without execution or move."""
-    done = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent)
-    assert done.returncode == 2, done.stderr
+    done = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent, code=2)
     assert f"--confirm-motion {_word(run_folder)[1][:8]}" in done.stderr
     assert _own_way(run_cell("scan", run_folder, "--driver", standing.url, "--confirm-motion", "0" * 8, cwd=run_folder))
     assert not (run_folder / "executions").exists()
@@ -248,14 +240,13 @@ def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
 
 
 def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
-    run_folder: Path, emulate: Callable[..., Any], run_cell: Run
+    run_folder: Path, emulate: Emulate, run_cell: RunCommand
 ) -> None:
     """The arm is not moved, because no path from its position to the start is checked."""
     emulated = emulate("modbus", *_FAST, "--start", "5,-90,90,0,90,0")
     done = run_cell(
-        "scan", str(run_folder), "--driver", emulated.url, *_word(run_folder), *_SCALE, cwd=run_folder.parent
+        "scan", str(run_folder), "--driver", emulated.url, *_word(run_folder), *_SCALE, cwd=run_folder.parent, code=5
     )
-    assert done.returncode == 5, done.stderr
     assert "the plan begins at" in done.stderr
     assert emulated.entries("move") == []
 
@@ -268,8 +259,8 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
     ],
     ids=["other plan", "damaged"],
 )
-def test_what_cannot_be_resumed_says_why(
-    change: dict[str, Any], code: int, words: str, run_folder: Path, run_cell: Run
+def test_executions_that_cannot_be_resumed_are_refused_with_the_reason(
+    change: dict[str, Any], code: int, words: str, run_folder: Path, run_cell: RunCommand
 ) -> None:
     """The command reports one sentence and its exit code, and the execution is unchanged."""
     execution = run_folder / "executions" / "0001"
@@ -278,21 +269,21 @@ def test_what_cannot_be_resumed_says_why(
     manifest = {"schema": "scan-cell/run/1", "status": "failed", "digest": digest, "seed": 3, "options": {}, **change}
     (execution / "manifest.json").write_text(json.dumps(manifest))
     kept = (execution / "manifest.json").read_bytes()
-    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
-    assert done.returncode == code, done.stderr
+    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent, code=code)
     assert words in done.stderr
     assert (execution / "manifest.json").read_bytes() == kept
 
 
-def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_cell: Run) -> None:
+def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_cell: RunCommand) -> None:
     """Options of a new scan are refused with --resume."""
-    done = run_cell("scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent)
-    assert done.returncode == 2
+    done = run_cell("scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent, code=2)
     assert "--resume keeps the options" in done.stderr
     assert np.array_equal(list((run_folder).glob("executions")), [])
 
 
-def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(run_folder: Path, run_cell: Run) -> None:
+def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(
+    run_folder: Path, run_cell: RunCommand
+) -> None:
     """With all scans missing the execution is resumed, and results of an earlier report are removed."""
     run_cell("scan", str(run_folder), "--resolution", "2", "--view", "2", cwd=run_folder.parent)
     execution = run_folder / "executions" / "0001"
@@ -300,11 +291,9 @@ def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(ru
     again = ("scan", str(run_folder), "--resume", "latest")
     assert run_cell(*again, cwd=run_folder.parent).returncode == 2
     (execution / "scans" / "0002.npz").unlink()
-    done = run_cell(*again, "--driver", "modbus://127.0.0.1:1", *_word(run_folder), cwd=run_folder.parent)
-    assert done.returncode == 5, done.stderr
+    run_cell(*again, "--driver", "modbus://127.0.0.1:1", *_word(run_folder), cwd=run_folder.parent, code=5)
     assert (execution / "report.json").exists()
-    done = run_cell(*again, cwd=run_folder.parent)
-    assert done.returncode == 0, done.stderr
+    run_cell(*again, cwd=run_folder.parent, code=0)
     assert _scans(execution) == {"0002.npz": kept}
     manifest = json.loads((execution / "manifest.json").read_text())
     assert manifest["status"] == "finished"

@@ -17,6 +17,7 @@ from cell.scene.file import load_scene
 from cell.study.placement_study import COVERAGE_ONLY, evaluate_placement
 from cell.study.prepared_part import scene_settings
 from cell.study.trials import OnOutcome, Outcome, Trial, compute, open_workers, run_trials
+from tests.support.fixture_types import StartCommand
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +94,7 @@ def test_no_processes_is_refused(trials: list[Trial], tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_no_worker_outlives_a_study_that_was_killed(
-    tmp_path: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
-) -> None:
+def test_no_worker_outlives_a_study_that_was_killed(tmp_path: Path, start_cell: StartCommand) -> None:
     """After SIGKILL of the command in its first trial, its processes end soon."""
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     study = start_cell("study", "standoff", "petanque", "--processes", "2", cwd=tmp_path, **silent)

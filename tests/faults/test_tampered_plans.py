@@ -21,8 +21,8 @@ import pytest
 
 from cell.errors import CellError
 from cell.runs.verification import verify_plan
+from tests.support.fixture_types import RunCommand
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
 Reseal = Callable[[Path], str]
 
 FREE = Path(__file__).parents[2] / "docs" / "internals" / "run_folder_free_fields.csv"
@@ -210,8 +210,7 @@ def all_changes(run: Path, rng: np.random.Generator, each: int) -> list[Callable
 
 def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
     """A seeded sample of all changes is tested; the slow test below makes all changes."""
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     rng = np.random.default_rng(11)
     changes = all_changes(run, rng, 2)
     chosen = rng.choice(len(changes), 25, replace=False)
@@ -220,8 +219,7 @@ def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_
 
 def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
     """A seeded sample of changes of the fields of sweeps, of fixtures, and of the arrays of the motion is refused."""
-    run = tmp_path / "run"
-    shutil.copytree(swept, run)
+    run = Path(shutil.copytree(swept, tmp_path / "run"))
     rng = np.random.default_rng(13)
     of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
     chosen = [
@@ -265,7 +263,7 @@ def _with_via(run: Path, q: np.ndarray, row: int) -> None:
 
 
 def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
-    planned: Path, tmp_path: Path, resealed: Reseal, run_cell: Run
+    planned: Path, tmp_path: Path, resealed: Reseal, run_cell: RunCommand
 ) -> None:
     """With renewed times, hashes and digest, a colliding via point is refused and a free one is accepted."""
     from cell.robot.arm import kr16_kinematics
@@ -279,16 +277,13 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
         q for q in kr16_kinematics().inverse(inside[None])[0]
         if not np.isnan(q).any() and (q >= proven.motion.limits.lower).all() and (q <= proven.motion.limits.upper).all()
     )  # fmt: skip
-    run = tmp_path / "inside"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "inside"))
     _with_via(run, from_steps(to_steps(q)), row)
     digest = resealed(run)
     for command in (("scan", run, "--confirm-motion", digest), ("export", run)):
-        done = run_cell(*command, cwd=tmp_path)
-        assert done.returncode == 6, done.stderr
+        done = run_cell(*command, cwd=tmp_path, code=6)
         assert re.search(r"motion.npz (violates the clearance|is not certified collision-free)", done.stderr)
-    free = tmp_path / "free"
-    shutil.copytree(planned, free)
+    free = Path(shutil.copytree(planned, tmp_path / "free"))
     via = proven.motion.via_q
     _with_via(free, from_steps(to_steps((via[row - 1] + via[row]) / 2)), row)
     assert resealed(free) != proven.digest
@@ -317,23 +312,20 @@ def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_p
 
 
 def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
-    planned: Path, tmp_path: Path, run_cell: Run
+    planned: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """A plan without a digest or without the hash of a required file is readable, but not executed."""
     from cell.api import open_run
 
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     manifest = json.loads((run / "manifest.json").read_text())
     without = {key: value for key, value in manifest.items() if key != "digest"}
     (run / "manifest.json").write_text(json.dumps(without))
     for command in ("scan", "export"):
-        done = run_cell(command, "run", cwd=tmp_path)
-        assert done.returncode == 6
+        done = run_cell(command, "run", cwd=tmp_path, code=6)
         assert "has no digest" in done.stderr
     assert open_run(run).digest == ""
-    done = run_cell("replay", "run", "--picture", "x.png", "--size", "160x120", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("replay", "run", "--picture", "x.png", "--size", "160x120", cwd=tmp_path, code=0)
     del manifest["artefacts"]["motion.npz"]
     (run / "manifest.json").write_text(json.dumps(manifest))
     assert "has no sha256 of motion.npz" in run_cell("scan", "run", cwd=tmp_path).stderr

@@ -15,13 +15,13 @@ positive = arrays(float, 6, elements=st.floats(0.05, 20.0))
 
 def fastest_stop(speed: float, acceleration: float, limit: float, jerk: float) -> tuple[float, float]:
     """Return duration and length of ruckig's fastest stop."""
-    asked = ruckig.InputParameter(1)
-    asked.control_interface = ruckig.ControlInterface.Velocity
-    asked.current_position, asked.current_velocity, asked.current_acceleration = [0.0], [speed], [acceleration]
-    asked.target_velocity, asked.target_acceleration = [0.0], [0.0]
-    asked.max_acceleration, asked.max_jerk = [limit], [jerk]
+    requests = ruckig.InputParameter(1)
+    requests.control_interface = ruckig.ControlInterface.Velocity
+    requests.current_position, requests.current_velocity, requests.current_acceleration = [0.0], [speed], [acceleration]
+    requests.target_velocity, requests.target_acceleration = [0.0], [0.0]
+    requests.max_acceleration, requests.max_jerk = [limit], [jerk]
     found = ruckig.Trajectory(1)
-    assert ruckig.Ruckig(1).calculate(asked, found) == ruckig.Result.Working
+    assert ruckig.Ruckig(1).calculate(requests, found) == ruckig.Result.Working
     return found.duration, found.at_time(found.duration)[0][0]
 
 

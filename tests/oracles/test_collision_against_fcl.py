@@ -157,23 +157,3 @@ def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCel
             assert verdict == (low >= checker.clearance)
     assert decided > 0.95 * len(chosen)
     assert 0.2 < free.mean() < 0.8
-
-
-def test_collisions_agree_with_fcl_on_thousands() -> None:
-    """Without clearance, overlaps of 2500 random configurations agree with fcl."""
-    world = compile_world(Scene.model_validate({"clearance_mm": 0}), PART, baseline_mm=75.0)
-    cell = FclCell(world)
-    q = np.random.default_rng(2).uniform(world.limits.lower, world.limits.upper, (2500, 6))
-    free = MujocoCollisionChecker(world).free(q)
-    hits = 0
-    for verdict, configuration in zip(free, q, strict=True):
-        places = cell.place(configuration)
-        near = [
-            (a, b) for a, b in world.pairs
-            if np.linalg.norm(places[a][:3, 3] - places[b][:3, 3]) < cell.radius[a] + cell.radius[b]
-        ]  # fmt: skip
-        inner = any(fcl.collide(cell.inner[a], cell.inner[b]) for a, b in near)
-        if inner == any(fcl.collide(cell.outer[a], cell.outer[b]) for a, b in near):
-            assert verdict != inner
-            hits += inner
-    assert hits > 100

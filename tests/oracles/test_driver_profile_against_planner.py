@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
-from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
 from drivers.setpoints import from_rad, to_rad
 from planner.kinematics.setpoints import from_steps, to_steps
@@ -12,8 +10,7 @@ from planner.path.certified_edge import quantise
 from planner.ports import JointLimits
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
 
 
 def limits(speed: float) -> JointLimits:

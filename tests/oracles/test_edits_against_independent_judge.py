@@ -36,35 +36,35 @@ def judge(run: Run) -> EditJudge:
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 60))])
 def test_random_edits(seed: int, run: Run, judge: EditJudge, tmp_path: Path) -> None:
     """The judge has no finding, and the reported differences from the earlier plan agree with the files."""
-    asked = random_edit(np.random.default_rng(seed), run)
+    requests = random_edit(np.random.default_rng(seed), run)
     made, refusal = None, None
     try:
-        made = edit(run, out=tmp_path / "edited", **asked.wishes)
+        made = edit(run, out=tmp_path / "edited", **requests.options)
     except CellError as error:
         refusal = error
     if made is None:
         assert refusal is not None
-        assert judge.refused(asked, refusal) == [], str(refusal)
+        assert judge.refused(requests, refusal) == [], str(refusal)
         return
-    assert not asked.wrong
-    assert judge.accepted(run, asked, made) == []
+    assert not requests.wrong
+    assert judge.accepted(run, requests, made) == []
     found, _ = recounted(compare_runs(run.folder, made.folder, LoggedProgress()))
     assert found == []
 
 
-def test_the_judge_finds_what_is_wrong(run: Run, judge: EditJudge, tmp_path: Path) -> None:
+def test_the_judge_finds_errors(run: Run, judge: EditJudge, tmp_path: Path) -> None:
     """The judge reports an edit that differs from its request, and refusals with a false reason."""
     made = edit(run, out=tmp_path / "edited", drop=[1])
     kept, away = RandomEdit({}), np.eye(4)
     assert any("lost" in each for each in judge.accepted(run, kept, made))
     turned = replace(kept, poses={"view 2": run.T_base_scanner[1] @ np.diag([-1.0, -1.0, 1.0, 1.0])})
-    assert any("from where it was asked for" in each for each in judge.accepted(run, turned, made)[:1])
+    assert any("from the requested position" in each for each in judge.accepted(run, turned, made)[:1])
     away[:3, 3] = 9.0
-    for said, pose, found in (
+    for output, pose, found in (
         ("is out of the arm's reach", run.T_base_scanner[1], "solutions"),
         ("is within the arm's reach, but every solution exceeds a joint limit", away, "0 of 0"),
         ("has every solution within the joint limits collides (housing with part)", run.T_base_scanner[1], "are free"),
     ):
-        told = UnreachableError(f"view 2 cannot be used: it {said}; move it to another pose, or drop it")
-        assert found in judge.refused(RandomEdit({}, {"view 2": pose}), told)[0]
+        message = UnreachableError(f"view 2 cannot be used: it {output}; move it to another pose, or drop it")
+        assert found in judge.refused(RandomEdit({}, {"view 2": pose}), message)[0]
     assert judge.refused(replace(kept, wrong="view 2 twice"), UsageError("no view is left"))

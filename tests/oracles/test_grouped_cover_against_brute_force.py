@@ -99,7 +99,7 @@ def test_costs_follow_groups_or_are_summed_with_theirs(seed: int) -> None:
         assert cost * (1 - 1e-3) <= bound <= cost + 1e-9
     loads = GroupLoads(problem, np.array([0.8]))
     fewest, choices, is_complete = fewest_groups(loads, (), None)
-    covers = grouped._GroupCovers(problem, loads, rng, "auto")
+    covers = grouped._GroupCovers(problem, loads, rng, "auto", None)
     found, alone = covers.best_of(choices, np.empty(0, np.int64), is_complete=is_complete, fast=False)
     assert (
         alone.cost <= best(selections, selections.n_groups, selections.cost)[1] + 1e-9

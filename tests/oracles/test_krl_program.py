@@ -6,7 +6,6 @@ has a clock, inputs and outputs, and rejects every unknown statement.
 
 import json
 import re
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 class _Return(Exception):  # noqa: N818 - control flow of the interpreter, not an error
@@ -240,12 +239,11 @@ def _prompt(output: int = 1, done: int = 1, delay: float = 0.3) -> Callable[[Rob
 
 
 @pytest.fixture(scope="module")
-def exported(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
+def exported(planned: Path, run_cell: RunCommand, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
     """Return `.src` and `.dat` of the small plan with signals 7 and 8."""
     folder = tmp_path_factory.mktemp("krl")
     signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "0.2")
-    done = run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder, code=0)
     return (folder / "out" / "PART_07.src").read_bytes(), (folder / "out" / "PART_07.dat").read_bytes()
 
 

@@ -98,12 +98,7 @@ def _on_plate(x):
 
 @pytest.mark.parametrize("baseline", [0.0, 0.075, 0.12])
 def test_a_wall_throws_the_shadows_of_source_and_sensor(baseline):
-    """Similar triangles give the end of each shadow on the plate.
-
-    The source is z = 300 mm above x = 0, and the wall is h = 40 mm high at w = 30 mm. The shadow of the source extends
-    behind the wall to w z / (z - h). The shadow of a sensor at x = b beyond the wall is before it, from (w z - b h) /
-    (z - h).
-    """
+    """Similar triangles give the end of each shadow on the plate."""
     mesh = _plate_and_wall()
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     scanner = LaserArea((80, 80), (0.25, 0.25), (100, 600), 1000 * baseline)

@@ -178,17 +178,3 @@ def test_a_view_in_the_bracket_is_reached_on_a_free_path(worlds: dict[str, World
     dense = np.concatenate([np.linspace(a, b, 400) for a, b in zip(way.via[:-1], way.via[1:], strict=True)])
     assert judge.contacts(dense) == {}
     assert judge.nearest(dense) >= min(measured.distance[0], 0.05) - 1e-3
-
-
-def test_bodies_that_meet_along_an_edge_have_an_inside(tmp_path: Path) -> None:
-    """Two blocks with a common edge are solid: the housing inside one is in contact without touching a triangle."""
-    blocks = [trimesh.creation.box((900, 900, 900)).apply_translation((x, x, 0)) for x in (0, 900)]
-    file = tmp_path / "blocks.stl"
-    trimesh.util.concatenate(blocks).export(file)
-    fixture = {"name": "blocks", "shape": "mesh", "path": str(file), "units": "mm", "position_mm": [3000, 0, 1000]}
-    world = compile_world(Scene.model_validate({"fixtures": [fixture]}), PART.vertices, baseline_mm=75.0)
-    data, geom = world.data(), world.model.geom("blocks").id
-    housing = world.model.geom("housing").id
-    for shift, sign in ((0.0, -1), (0.9, -1), (-0.9, 1)):
-        data.geom_xpos[housing] = [3.0 + shift, shift, 1.0]
-        assert np.sign(world.distance(data, housing, geom, 1.0)) == sign

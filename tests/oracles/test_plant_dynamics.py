@@ -21,8 +21,8 @@ from cell.robot.model import LINKS
 from cell.robot.plant import FeedForward, MujocoPlant, PlantSettings
 from drivers.profile import resting
 from planner.values import Floats
+from tests.support.arms import HOME
 
-HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 POSES = {
     "home": HOME,
     "stretched level": np.zeros(6),
@@ -153,22 +153,6 @@ def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
     np.testing.assert_allclose(data.qfrc_bias, slope, atol=1e-5)
 
 
-def test_two_gravity_torques_by_hand() -> None:
-    """Stretched horizontally, A2 has the moments of all masses and A1 none. Upright, A2 has almost none."""
-    model = dynamics.compile_dynamic_arm(Tool())
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    # Sum of mass times horizontal distance from A2, m: link 2, 3, 4, 5, 6.
-    moment = 24.2 * 0.321 + 29.1 * 0.682 + 6.9 * (1.35 - 0.135) + 3.2 * 1.4 + 0.1 * 1.501
-    assert data.qfrc_bias[1] == pytest.approx(-9.81 * moment, rel=1e-12)
-    assert data.qfrc_bias[0] == pytest.approx(0.0, abs=1e-12)
-    data.qpos[1] = -np.pi / 2
-    mujoco.mj_forward(model, data)
-    # Upright, a mass below the A2 axis by -z is in front of it by -z.
-    above = 24.2 * 0.0 + 29.1 * (-0.02) + (6.9 + 3.2 + 0.1) * (-0.035)
-    assert data.qfrc_bias[1] == pytest.approx(9.81 * above, rel=1e-9)
-
-
 def test_the_mass_matrix_equals_that_of_the_jacobians(chain: Chain) -> None:
     """The mass matrices agree in every named pose, with a tool off the axis."""
     model = dynamics.compile_dynamic_arm(TOOL)
@@ -183,16 +167,6 @@ def test_the_feed_forward_equals_lagrange(chain: Chain) -> None:
     q, qd, qdd = rng.uniform(-2, 2, (3, 3, 6)) * np.array([1.0, 1.5, 3.0])[:, None, None]
     expected = [chain.inverse(*motion) for motion in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(right.torque(q, qd, qdd), expected, rtol=1e-6, atol=1e-4)
-
-
-def test_a_mass_error_affects_all_but_the_rotors(chain: Chain) -> None:
-    """With 10 % too little mass, 10 % of gravity, velocity terms and link inertia are missing."""
-    rng = np.random.default_rng(1)
-    light = FeedForward(TOOL, PlantSettings(mass_error=-0.1, friction_error=-1.0))
-    q, qd, qdd = rng.uniform(-2, 2, (3, 6))
-    motors = chain.rotor * qdd + chain.viscous * qd
-    expected = motors + 0.9 * (chain.inverse(q, qd, qdd) - motors)
-    np.testing.assert_allclose(light.torque(q[None], qd[None], qdd[None])[0], expected, rtol=1e-6, atol=1e-4)
 
 
 def test_the_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:

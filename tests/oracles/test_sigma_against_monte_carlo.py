@@ -41,10 +41,7 @@ def test_sigma_is_the_scatter_of_triangulated_points():
 
 @pytest.mark.parametrize(("laser_deg", "sight_deg"), [(0, 0), (60, 0), (0, 70), (45, 30), (70, 70)])
 def test_incidence_widens_the_spot_and_dims_it(laser_deg, sight_deg):
-    """The centroid of a spot's photons scatters by the model's factor over that of a surface that faces both.
-
-    The spot is as long as 1 / cos of the laser's incidence and as bright as cos of the sensor's (Lambert).
-    """
+    """The centroid of a spot's photons scatters by the model's factor over that of a surface that faces both."""
     rng = np.random.default_rng(2)
     photons, spots = 400, 4_000
 
@@ -73,10 +70,7 @@ def test_the_model_applies_that_factor():
 
 
 def test_on_the_axis_it_is_the_textbook_s_depth_error():
-    """Sigma equals z^2 / (f b) sigma_image of a camera with an axis parallel to z.
-
-    A position error in its image is an error sigma_image / f cos^2 of the direction.
-    """
+    """Sigma equals z^2 / (f b) sigma_image of a camera with an axis parallel to z."""
     z, b, focal, sigma_image = 0.3, 0.075, 0.016, 1e-6
     sigma_angle = sigma_image / focal * z**2 / (z**2 + b**2)
     scanner = LaserArea(baseline_mm=1000 * b, sigma_angle_mdeg=1000 * np.degrees(sigma_angle))

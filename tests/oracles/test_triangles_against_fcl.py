@@ -4,23 +4,16 @@ fcl measures boxes against triangles to 1e-6 m or better. Its cylinders are up t
 by a search over every triangle.
 """
 
-import itertools
 from collections.abc import Callable
 
 import fcl
-import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-from cell.robot.arm import kinematics_of
-from cell.scene.model import Scene
-from cell.world.collision import MujocoCollisionChecker
-from cell.world.model import compile_world
 from planner.geometry import distance as gjk
 from planner.geometry.distance import TriangleTree
 from planner.geometry.mesh import TriangleMesh
-from planner.path.path import connect
 
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)
 ZERO, UPRIGHT = np.zeros(3), np.eye(3).ravel()
@@ -145,17 +138,6 @@ def test_the_nearest_points_are_on_both_bodies(name: str) -> None:
     assert seen > 20
 
 
-def test_yes_or_no_agrees_with_the_distance() -> None:
-    """`any_nearer` stops early with the same answer, at limits around the true distance."""
-    tree = _tree(MESHES["a mug"]())
-    half = np.array([0.02, 0.015, 0.03])
-    for position, R in _poses(200, 0.0, 0.15, 4):
-        whole = tree.distance(gjk.BOX, half, position, R.ravel(), ZERO, UPRIGHT, 1.0)
-        for limit in (0.01, max(whole, 0) + 1e-6, max(whole, 1e-3) - 1e-6):
-            early = tree.distance(gjk.BOX, half, position, R.ravel(), ZERO, UPRIGHT, limit, any_nearer=True)
-            assert (early < limit) == (whole < limit)
-
-
 def test_a_body_in_the_material_is_in_contact_and_one_in_the_cavity_is_not() -> None:
     """A closed solid has an inside, which excludes the cavity of a mug; an open mesh has none."""
     crumb = np.full(3, 0.001)
@@ -170,59 +152,6 @@ def test_a_body_in_the_material_is_in_contact_and_one_in_the_cavity_is_not() -> 
     assert mug.distance(gjk.BOX, crumb, np.array([0.0, 0.0, 0.0025]), UPRIGHT, ZERO, UPRIGHT, 1.0) < 0
     assert ball.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) < -0.04
     assert sheet.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) > 0
-
-
-def test_the_pose_of_the_part_is_that_of_its_vertices() -> None:
-    """A posed mesh has the distances of its transformed vertices."""
-    mesh = MESHES["a torus"]()
-    T = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.8]))
-    T[:3, 3] = 1.2, 0.5, -0.1
-    moved = mesh.copy()
-    moved.apply_transform(T)
-    one, other, half = _tree(mesh), _tree(moved), np.array([0.05, 0.02, 0.03])
-    for position, R in _poses(50, 0.0, 0.3, 6):
-        where = position + T[:3, 3]
-        placed = one.distance(gjk.BOX, half, where, R.ravel(), T[:3, 3].copy(), T[:3, :3].copy().ravel(), 1.0)
-        assert placed == pytest.approx(other.distance(gjk.BOX, half, where, R.ravel(), ZERO, UPRIGHT, 1.0), abs=3e-8)
-
-
-def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
-    """A motion below the rim, planned on triangles, has no contact in fcl at 300 configurations."""
-    outline = [(0.0, 0.0), (0.24, 0.0), (0.24, 0.36), (0.228, 0.36), (0.228, 0.012), (0.0, 0.012)]
-    bucket = trimesh.creation.revolve(np.array(outline), sections=64)
-    scene = Scene.model_validate({"placement": {"position_mm": [1100, 0, -100]}, "post": {"enabled": False}})
-    world = compile_world(scene, bucket.vertices, part_faces=np.array(bucket.faces), baseline_mm=75.0)
-    assert world.collision == "exact"
-    checker = MujocoCollisionChecker(world)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = np.diag([1.0, -1.0, -1.0]), [1.1, 0.0, -0.1 + 0.18 - 0.12]
-    q = kinematics_of(world.model).inverse((T @ np.linalg.inv(world.T_flange_scanner))[None])[0]
-    q = q[np.isfinite(q).all(axis=1) & (q >= world.limits.lower).all(axis=1) & (q <= world.limits.upper).all(axis=1)]
-    goal = q[checker.free(q)][0]
-    found = connect(world.home, goal, checker, world.limits, np.random.default_rng(0))
-    assert found.via is not None
-    placed = _model(bucket)
-    placed.setTransform(fcl.Transform(world.T_base_object[:3, :3], world.T_base_object[:3, 3]))
-    data, model = world.data(), world.model
-    bodies = {}
-    for geom in {int(g) for pair in world.pairs for g in pair if world.entities[g].startswith(("link", "h", "b"))}:
-        size = model.geom_size[geom]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-            bodies[geom] = fcl.CollisionObject(fcl.Box(*(2 * size)))
-        else:
-            bodies[geom] = _model(trimesh.creation.cylinder(size[0] / np.cos(np.pi / 48), 2 * size[1], sections=48))
-    least = np.inf
-    for a, b in itertools.pairwise(found.via):
-        for configuration in np.linspace(a, b, 300 // (len(found.via) - 1)):
-            data.qpos[:] = configuration
-            mujoco.mj_kinematics(model, data)
-            for geom, body in bodies.items():
-                R, position = data.geom_xmat[geom].reshape(3, 3).copy(), data.geom_xpos[geom].copy()
-                body.setTransform(fcl.Transform(R, position))
-                assert not fcl.collide(body, placed)
-                if model.geom_rbound[geom] < 0.3:
-                    least = min(least, fcl.distance(body, placed))
-    assert 0.55 * world.clearance - 1e-4 <= least < 0.2
 
 
 @pytest.mark.parametrize("name", ["a mug", "a torus", "triangles that cross each other"])

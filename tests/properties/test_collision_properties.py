@@ -72,20 +72,6 @@ def test_a_fixture_never_frees_a_configuration(
     assert (after.distance(q[:400])[0] <= before.distance(q[:400])[0] + 1e-12).all()
 
 
-def test_a_larger_clearance_never_frees(world: World) -> None:
-    """A configuration free at 30 mm is free at 10 mm and at 0 mm, and each step excludes some."""
-    q = np.random.default_rng(5).uniform(world.limits.lower, world.limits.upper, (6000, 6))
-    free = [
-        MujocoCollisionChecker(
-            compile_world(Scene.model_validate({"clearance_mm": mm}), PART, baseline_mm=75.0)
-        ).free(q)
-        for mm in (0, 10, 30)
-    ]  # fmt: skip
-    assert not (free[1] & ~free[0]).any()
-    assert not (free[2] & ~free[1]).any()
-    assert free[0].sum() > free[1].sum() > free[2].sum()
-
-
 @settings(max_examples=settings.default.max_examples // 4)
 @given(turn=ANGLE, seed=st.integers(0, 2**31), offset=st.floats(0, 0.25), abc=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_turning_part_and_arm_together_changes_no_distance(
@@ -161,25 +147,3 @@ def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> 
         if moved > 0:
             ratios.append(bound / length)
     assert np.median(ratios) < (1.6 if scale <= 0.02 else 2.5)
-
-
-@given(
-    q_from=st.lists(ANGLE, min_size=6, max_size=6),
-    q_to=st.lists(ANGLE, min_size=6, max_size=6),
-)
-def test_travel_is_symmetric_and_zero_at_rest(world: World, q_from: list, q_to: list) -> None:
-    """Both directions have equal travel, and no motion has none."""
-    checker = MujocoCollisionChecker(world)
-    a, b = np.deg2rad([q_from]), np.deg2rad([q_to])
-    assert checker.travel(a, b)[0] == pytest.approx(checker.travel(b, a)[0], rel=1e-12, abs=1e-15)
-    assert checker.travel(a, a)[0] == 0.0
-
-
-def test_travel_in_one_batch_is_travel_one_by_one(world: World) -> None:
-    """A batch gives the results of single calls."""
-    rng = np.random.default_rng(8)
-    q = rng.uniform(world.limits.lower, world.limits.upper, (1100, 6))
-    checker = MujocoCollisionChecker(world)
-    together = checker.travel(q[:-1], q[1:])
-    for i in (0, 1, 511, 512, 1098):
-        assert checker.travel(q[i : i + 1], q[i + 1 : i + 2])[0] == pytest.approx(together[i], rel=1e-12)

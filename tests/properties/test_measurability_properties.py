@@ -1,7 +1,6 @@
 """Properties of measurability for any part, scanner and viewpoints."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
@@ -148,30 +147,6 @@ def test_an_occluder_never_adds_a_point_to_a_scan(seed):
 
 
 @few
-@given(
-    seeds,
-    st.sampled_from(
-        [
-            {"sensor_grazing_max_deg": 75},
-            {"fov_deg": (55, 30)},
-            {"fov_deg": (40, 170)},
-            {"range_mm": (100, 380)},
-            {"range_mm": (150, 600)},
-            {"grazing_max_deg": 89},
-            {"grazing_max_deg": 90, "fov_deg": (90, 90), "range_mm": (0, 1000)},
-        ]
-    ),
-)
-def test_widening_a_limit_never_loses_an_entry(seed, wider):
-    """A larger field of view, range or grazing limit keeps all entries of the smaller one."""
-    _, _, caster, features, views = _scene(seed)
-    limits = {"sensor_grazing_max_deg": 60}
-    narrow = _dense(fill_matrix(views, features, _scanner(**limits), caster))
-    wide = _dense(fill_matrix(views, features, _scanner(**limits | wider), caster))
-    assert (narrow <= wide).all()
-
-
-@few
 @given(seeds)
 def test_without_a_baseline_the_sensor_leg_blocks_nothing(seed):
     """M follows from the conditions and the source's line of sight alone; no ray is in the sensor's shadow."""
@@ -202,25 +177,6 @@ def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
         expected[rows[rows >= 0], j] = True
     got = fill_matrix(views, features, scanner, caster, method="rays", part=part, row_of_face=row_of_face)
     assert (_dense(got) == expected).all()
-
-
-@few
-@given(seeds, st.integers(1, 1000))
-def test_the_size_of_bundles_does_not_matter(seed, bundle):
-    """Bundles of any number of rays give equal bytes."""
-    _, part, caster, features, views = _scene(seed)
-    scanner = _scanner()
-    keys = {"method": "rays", "part": part, "row_of_face": np.arange(len(part.faces)) % len(features)}
-    usual = fill_matrix(views, features, scanner, caster), fill_matrix(views, features, scanner, caster, **keys)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.measurability.visibility.BUNDLE", bundle)
-        patch.setattr("planner.measurability.visibility._OPEN_BUNDLE", bundle)
-        other = fill_matrix(views, features, scanner, caster), fill_matrix(views, features, scanner, caster, **keys)
-        predicted = find_measured(views.T_object_scanner, features, scanner, [caster])
-    for a, b in zip(usual, other, strict=True):
-        assert a.indices.tobytes() == b.indices.tobytes()
-        assert a.indptr.tobytes() == b.indptr.tobytes()
-    assert (predicted == _dense(usual[0]).any(axis=1)).all()
 
 
 @few

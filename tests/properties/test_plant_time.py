@@ -6,15 +6,11 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cell.robot import model as robot
 from cell.robot.plant import MujocoPlant, PlantSettings
-from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
 from drivers.simulated_controller import Plant
+from tests.support.arms import HOME, KR16
 
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 STEP = PlantSettings().time_step
 
 

@@ -132,13 +132,6 @@ def test_no_pedestal_no_post_no_bracket() -> None:
     assert MujocoCollisionChecker(world).free(world.home[None])[0]
 
 
-def test_a_fixture_named_like_a_shape_of_the_robot_is_an_error_of_the_scene() -> None:
-    """The message has the key of the name."""
-    fixture = {"name": "base_body", "shape": "box", "size_mm": [10, 10, 10], "position_mm": [0, 1500, 0]}
-    with pytest.raises(SceneError, match=r"fixtures\[0\]\.name is 'base_body'"):
-        compile_world(Scene.model_validate({"fixtures": [fixture]}), BALL, baseline_mm=75.0)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -165,15 +158,3 @@ def test_a_flat_fixture_mesh_collides(tmp_path: Path) -> None:
     world = compile_world(Scene.model_validate({"fixtures": [fixture]}), BALL, baseline_mm=75.0)
     with pytest.raises(SceneError, match="the fixture 'sheet' intersects the robot's"):
         require_feasible(world)
-
-
-def test_many_fixtures_compile_and_keep_their_names() -> None:
-    """Each of a hundred boxes is reported by name."""
-    fixtures = [
-        {"name": f"box {i}", "shape": "box", "size_mm": [40, 40, 40],
-         "position_mm": [2000 * np.cos(i / 16), 2000 * np.sin(i / 16), 100 * (i % 7)]}
-        for i in range(100)
-    ]  # fmt: skip
-    world = compile_world(Scene.model_validate({"fixtures": fixtures}), BALL, baseline_mm=75.0)
-    assert {f"box {i}" for i in range(100)} <= set(world.entities)
-    assert MujocoCollisionChecker(world).free(world.home[None])[0]

@@ -24,7 +24,7 @@ NO_SURFACE = {
 
 
 @pytest.mark.parametrize("name", NO_SURFACE)
-def test_too_little_is_said(name: str) -> None:
+def test_too_few_points_are_reported(name: str) -> None:
     """Too few points give the status TOO_FEW_POINTS and no mesh."""
     result = reconstruct(merge(NO_SURFACE[name]))
     assert result.mesh is None

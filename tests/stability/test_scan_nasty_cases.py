@@ -74,10 +74,7 @@ def test_the_two_faces_of_a_thin_sheet_are_not_matched_to_each_other() -> None:
     ("off_mm", "status"), [(0.1, RegistrationStatus.CONVERGED), (0.25, RegistrationStatus.NO_OVERLAP)]
 )
 def test_a_thin_sheet_is_registered_up_to_half_its_thickness(off_mm: float, status: RegistrationStatus) -> None:
-    """A scan nearer to its own face is corrected to 10 micrometres, and one nearer to the other face keeps its pose.
-
-    Points of the other face have opposite normals, so they are no matches.
-    """
+    """A scan nearer to its own face is corrected to 10 micrometres, and one nearer to the other face keeps its pose."""
     n = 161
     steps = np.linspace(-0.025, 0.025, n)
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.contract import RobotState
@@ -23,8 +22,7 @@ from drivers.simulated_controller import IdealPlant
 from drivers.wire import ReopeningLink, Timeouts
 from drivers.wires.modbus_link import ModbusLink
 from drivers.wires.serial_link import SerialLink
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
 
 TIMEOUTS = Timeouts(answer=0.08, watchdog=0.5, poll=0.01)
 STEP = 0.01

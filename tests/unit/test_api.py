@@ -45,10 +45,7 @@ def test_importing_it_imports_nothing_heavy() -> None:
 
 
 def test_a_plan_is_a_value_of_arrays(planned: Run) -> None:
-    """Array shapes agree with the number of views, and the poses agree with each other.
-
-    The bound is not above the number of views.
-    """
+    """Array shapes agree with the number of views, and the poses agree with each other."""
     n = len(planned.candidate)
     assert planned.q.shape == (n, 6)
     assert planned.T_base_scanner.shape == planned.T_object_scanner.shape == (n, 4, 4)
@@ -105,26 +102,17 @@ def test_a_run_opened_again_is_the_same_value(planned: Run) -> None:
     assert np.array_equal(again.part.faces, planned.part.faces)
 
 
-def test_a_mesh_in_memory_is_planned_as_its_file(
+def test_a_mesh_in_memory_is_planned_as_the_scene_of_its_file(
     planned: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A mesh in memory, its file and a checked scene give the same number of views. Nothing is printed."""
+    """A checked scene with the mesh as a file gives the same number of views. Nothing is printed."""
     file = tmp_path / "ball.ply"
     trimesh.creation.icosphere(subdivisions=3, radius=60.0).export(file, vertex_normal=False)
-    of_file = plan(file, units="mm", out=tmp_path / "file", **_QUICK)
-    scene = load_scene(
-        None,
-        {
-            "part": {"path": str(file), "units": "mm"},
-            "placement": {"position_mm": [1100, 400, 100]},
-            "plan": {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3, "coverage": 1.0}
-            | {"candidates": "optimal-scanning-zone"},
-        },
-    )
-    of_scene = plan(scene, out=tmp_path / "scene")
-    assert np.array_equal(of_file.q, of_scene.q)
-    assert of_file.candidate.tolist() == of_scene.candidate.tolist()
-    assert len(of_file.candidate) == len(planned.candidate)
+    settings = {"standoffs_mm": [200.0], "faces": 40, "samples_per_face": 2, "seed": 3, "coverage": 1.0}
+    settings["candidates"] = "optimal-scanning-zone"
+    tables = {"part": {"path": str(file), "units": "mm"}, "placement": {"position_mm": [1100, 400, 100]}}
+    of_scene = plan(load_scene(None, tables | {"plan": settings}), out=tmp_path / "scene")
+    assert len(of_scene.candidate) == len(planned.candidate)
     assert capfd.readouterr() == ("", "")
 
 
@@ -136,8 +124,8 @@ def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: Run, tmp_path: Path) 
 
 def test_an_execution_is_a_value_too(planned: Run) -> None:
     """An execution without errors returns points on the ball, a mesh and its deviation."""
-    told: list[tuple[str, int, int]] = []
-    execution = scan(planned, resolution=1.0, progress=lambda *words: told.append(words))
+    message: list[tuple[str, int, int]] = []
+    execution = scan(planned, resolution=1.0, progress=lambda *words: message.append(words))
     assert execution.exit_code == 0
     assert isinstance(execution.mesh, trimesh.Trimesh)
     assert repr(execution).startswith(f"Execution({str(execution.folder)!r}, views {len(planned.q)}, coverage ")
@@ -146,7 +134,7 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
     assert execution.deviation is not None
     assert execution.deviation.rms_mm < 1.0
     assert execution.coverage.visible == pytest.approx(execution.coverage.predicted, abs=0.02)
-    assert {stage for stage, _, _ in told} >= {"execute and scan", "merge"}
+    assert {stage for stage, _, _ in message} >= {"execute and scan", "merge"}
 
 
 @pytest.mark.parametrize(
@@ -178,7 +166,7 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
         "no plan",
     ],
 )
-def test_what_cannot_be_is_one_sentence(call: object, error: type[Exception], words: str) -> None:
+def test_invalid_calls_are_refused(call: object, error: type[Exception], words: str) -> None:
     """An invalid call is refused with an error of the matching class that names the cause."""
     with pytest.raises(error, match=words):
         call()  # type: ignore[operator]
@@ -198,19 +186,23 @@ def test_the_page_runs(count: int | None, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
-    """Options of exploration, execution and scene are keywords, and a repeated call returns the same value.
-
-    The surface lies within the cylinder. The digests of the stages are those that were executed.
-    """
+    """Options of exploration, execution and scene are keywords, and a repeated call returns the same value."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     ball.export(tmp_path / "ball.stl")
-    wishes = {**_QUICK, "ring": 2, "max_views": 2, "resolution": 2.0, "voxel": 4, "candidates": "optimal-scanning-zone"}
-    del wishes["coverage"]
-    done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes)
+    options = {
+        **_QUICK,
+        "ring": 2,
+        "max_views": 2,
+        "resolution": 2.0,
+        "voxel": 4,
+        "candidates": "optimal-scanning-zone",
+    }
+    del options["coverage"]
+    done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options)
     assert [len(stage.q) for stage in done.stages] == [2]
     assert [stage.digest for stage in done.stages] == [stage.digest for stage in done.file.batches]
     assert done.mesh is not None
     assert np.abs(done.mesh.vertices).max() < 0.07
-    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes) == done
+    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options) == done
     with pytest.raises(UsageError, match="is an exploration with other options"):
-        explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **{**wishes, "seed": 4})
+        explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **{**options, "seed": 4})

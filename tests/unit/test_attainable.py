@@ -43,10 +43,7 @@ def test_all_of_a_ball_is_measured_from_anywhere():
 
 
 def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
-    """With sources above the ball's lowest point all points are visible.
-
-    Points are measured as far as their tilt allows.
-    """
+    """With sources above the ball's lowest point all points are visible."""
     targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.04).all(axis=1))
     found = probe_attainable(targets, evaluator)
     assert found.visible.all()

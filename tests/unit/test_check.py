@@ -28,10 +28,7 @@ def test_the_arm_s_envelope_is_the_data_sheet_s(ball: dict) -> None:
 
 
 def test_a_table_is_an_obstacle_and_extends_the_reach(ball: dict) -> None:
-    """The table is an obstacle with the range of E1.
-
-    A part beside its axis is within reach if the other side of its circle is.
-    """
+    """The table is an obstacle with the range of E1."""
     place = {"placement": {"position_mm": [2600.0, 0.0, 0.0]}}
     assert check_scene(Scene.model_validate({"part": ball} | place)).problems
     table = {"position_mm": [2200.0, 0.0, -400.0], "limits_deg": [-90.0, 170.0], "swing_mm": 1200.0}

@@ -39,15 +39,12 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
 
 
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
-    """Without a tightest moment the text is empty.
-
-    Otherwise it has distance, pair, time and segment, counted from 1.
-    """
+    """Without a tightest moment the text is empty."""
     segment = schema.SegmentClearance(minimum_mm=20.0, lower_bound_mm=19.0, between="housing with post")
     assert tightest_moment(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
     tightest = schema.Tightest(
         segment=1, time_s=3.2, distance_mm=12.345, between="housing with post",
         points_in_base_mm=np.zeros((2, 3)).tolist(), q_deg=np.zeros(6).tolist(),
     )  # fmt: skip
-    said = tightest_moment(schema.Clearance(collision="exact", segments=[segment] * 3, tightest=tightest))
-    assert said == "12.3 mm, housing with post, 3.20 s after the start, on segment 2 of 3"
+    output = tightest_moment(schema.Clearance(collision="exact", segments=[segment] * 3, tightest=tightest))
+    assert output == "12.3 mm, housing with post, 3.20 s after the start, on segment 2 of 3"

@@ -29,13 +29,6 @@ def _random(world: World, count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(world.limits.lower, world.limits.upper, (count, 6))
 
 
-def test_home_is_free_and_touches_nothing(world: World, checker: MujocoCollisionChecker) -> None:
-    """The home configuration keeps the clearance."""
-    assert checker.free(world.home[None]).tolist() == [True]
-    assert checker.contacts(world.home) == ()
-    assert checker.clearance == pytest.approx(0.01)
-
-
 @pytest.mark.parametrize(
     ("q_deg", "position", "name"),
     [

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +12,7 @@ from cell.errors import SceneError
 from cell.runs.current_files import CurrentFiles
 from cell.runs.current_scene import require_current_scene
 from cell.runs.verification import VerifiedPlan, verify_plan
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 _SCENE = """
 [placement]
@@ -39,15 +37,14 @@ position_mm = [0, -900, 50]
 
 
 @pytest.fixture(scope="module")
-def cell_of_files(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
+def cell_of_files(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return a folder with a part, a scene, a mesh of a fixture, and the run folder of their plan."""
 
     def make(folder: Path) -> None:
         shutil.copy(part_file, folder / "part.stl")
         trimesh.creation.box((80, 60, 40)).export(folder / "clamp.stl")
         (folder / "cell.toml").write_text(_SCENE)
-        done = run_cell("plan", "part.stl", "--units", "mm", "--scene", "cell.toml", "--out", "run", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("plan", "part.stl", "--units", "mm", "--scene", "cell.toml", "--out", "run", cwd=folder, code=0)
 
     return made_once("cell_of_files", make)
 
@@ -96,7 +93,7 @@ def test_files_as_they_were_are_driven(proven: VerifiedPlan, now: Path) -> None:
         ("[plan]", "plan", "scene"),
     ],
 )
-def test_what_differs_is_named_and_can_be_accepted(
+def test_differences_are_named_and_can_be_accepted(
     was: str, is_now: str, name: str, proven: VerifiedPlan, now: Path
 ) -> None:
     """Each difference is refused by its name until that name is accepted. Other accepted names have no effect."""
@@ -120,11 +117,10 @@ def test_another_surface_is_another_part_and_another_header_is_not(proven: Verif
     assert _refused(proven, CurrentFiles(part="mug")) == "part"
 
 
-def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
-    """Export and scan report a changed file and a missing file.
-
-    With a real controller a missing file has to be accepted.
-    """
+def test_the_files_of_the_manifest_are_looked_at_again(
+    cell_of_files: Path, tmp_path: Path, run_cell: RunCommand
+) -> None:
+    """Export and scan report a changed file and a missing file."""
     for name in ("part.stl", "clamp.stl", "cell.toml"):
         shutil.copy(cell_of_files / name, tmp_path)
     shutil.copytree(cell_of_files / "run", tmp_path / "run")
@@ -135,41 +131,34 @@ def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_
     (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
 
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[1100, 400, 100]", "[1100, 401, 100]"))
-    done = run_cell("export", "run", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("export", "run", cwd=tmp_path, code=2)
     assert "the placement differs from the plan" in done.stderr
-    done = run_cell("export", "run", "--accept-changed-scene", "placement", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("export", "run", "--accept-changed-scene", "placement", cwd=tmp_path, code=0)
     assert "the placement differs" in done.stderr
 
     (tmp_path / "cell.toml").write_text(_SCENE)
     (tmp_path / "clamp.stl").write_bytes(b"solid")
     assert "fixture:clamp" in run_cell("scan", "run", cwd=tmp_path).stderr
     (tmp_path / "clamp.stl").unlink()
-    done = run_cell("export", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("export", "run", cwd=tmp_path, code=0)
     assert f"{tmp_path / 'clamp.stl'} is missing" in done.stderr
     word = ("--confirm-motion", manifest["digest"], "--driver", "modbus://127.0.0.1:1")
-    done = run_cell("scan", "run", *word, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("scan", "run", *word, cwd=tmp_path, code=2)
     assert "--accept-changed-scene missing" in done.stderr
-    done = run_cell("scan", "run", *word, "--accept-changed-scene", "missing", cwd=tmp_path)
-    assert done.returncode == 5, done.stderr
+    run_cell("scan", "run", *word, "--accept-changed-scene", "missing", cwd=tmp_path, code=5)
     assert not (tmp_path / "run/executions").exists()
 
 
-def test_what_the_command_line_said_is_no_difference(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
-    """A placement of the command line is no difference from the scene file of the run.
-
-    Other changes of that file are refused.
-    """
+def test_options_of_the_command_line_are_no_difference(
+    cell_of_files: Path, tmp_path: Path, run_cell: RunCommand
+) -> None:
+    """A placement of the command line is no difference from the scene file of the run."""
     for name in ("part.stl", "clamp.stl", "cell.toml"):
         shutil.copy(cell_of_files / name, tmp_path)
-    done = run_cell(
+    run_cell(
         "plan", "part.stl", "--units", "mm", "--scene", "cell.toml", "--place", "1100,420,100", "--out", "run",
-        cwd=tmp_path,
+        cwd=tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     placed = verify_plan(tmp_path / "run")
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[60, 50, 40]", "[60, 50, 42]"))
     assert _refused(placed, CurrentFiles()) == "fixture:box"

@@ -100,10 +100,7 @@ def test_the_papers_scanner_has_the_standoff_of_the_device() -> None:
 
 
 def test_a_sensor_without_a_stated_body_has_a_note() -> None:
-    """A sensor without a stated body has the housing of the large device and a note.
-
-    With a housing in the scene there is no note.
-    """
+    """A sensor without a stated body has the housing of the large device and a note."""
     scanner = {"sensor": "gocator-2340", "baseline_mm": 100.0}
     assert _hardware(settle_scene(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
     (note,) = notes(_scene(scanner=scanner), _box(60.0))

@@ -33,8 +33,8 @@ def test_a_part_far_from_its_origin_has_a_note() -> None:
 
 def test_a_steep_grazing_limit_has_a_note() -> None:
     """A grazing limit above the tested range has a note, and the limit of that range has none."""
-    for limit, said in ((validation.STEEPEST_GRAZING_DEG, 0), (validation.STEEPEST_GRAZING_DEG + 1, 1)):
-        assert bool(validation.grazing_note(limit)) == bool(said)
+    for limit, output in ((validation.STEEPEST_GRAZING_DEG, 0), (validation.STEEPEST_GRAZING_DEG + 1, 1)):
+        assert bool(validation.grazing_note(limit)) == bool(output)
 
 
 def test_a_coarse_planning_mesh_has_a_note() -> None:

@@ -33,10 +33,7 @@ def test_counts_survive_the_conversion_to_radians_and_back() -> None:
     """Counts are equal after conversion to radians and back, at both ends of int32, around zero and at random."""
     ends = np.iinfo(np.int32)
     counts = np.concatenate(
-        [
-            [ends.max, ends.max - 1, -ends.max, 0, 1, -1],
-            np.random.default_rng(0).integers(-ends.max, ends.max, 999_996),
-        ]
+        [[ends.max, ends.max - 1, -ends.max, 0, 1, -1], np.random.default_rng(0).integers(-ends.max, ends.max, 999_996)]
     ).astype(np.int32)
     counts = counts[: len(counts) // 6 * 6].reshape(-1, 6)
     assert (from_rad(to_rad(counts)) == counts).all()
@@ -68,14 +65,6 @@ def test_set_points_are_copied_and_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         validated[0, 0] = 1
     assert require_set_points(np.asfortranarray(mine)).flags.c_contiguous
-
-
-def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
-    """The limits of the KR 16 are those of its data sheet; 185 deg is not rounded inwards by a count."""
-    assert to_deg(KR16.lower).tolist() == [-185, -155, -130, -350, -130, -350]
-    assert to_deg(KR16.upper).tolist() == [185, 35, 154, 350, 130, 350]
-    assert np.degrees(KR16.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
-    assert np.degrees(KR16.acceleration) == pytest.approx([312, 312, 312, 660, 660, 1230])
 
 
 def test_limits_between_counts_are_rounded_inwards() -> None:

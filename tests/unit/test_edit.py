@@ -23,7 +23,7 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "wishes",
+    "options",
     [
         {"drop": "4,7", "move": "7:812,430,655,90,0,180,8:812,430,655,90,0,180", "turn": "1:90,2:-45.5"},
         {"drop": [4, 7], "move": {7: POSE, 8: POSE}, "turn": {1: 90, 2: -45.5}},
@@ -31,18 +31,18 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
     ],
     ids=["texts", "tables", "sequences"],
 )
-def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
+def test_texts_and_values_say_the_same(options: dict[str, Any]) -> None:
     """Texts, tables and sequences give the same edit. A view that is edited twice is refused."""
     with pytest.raises(UsageError, match="view 7 twice"):
-        parse_options(Edit, wishes)
-    edit = parse_options(Edit, wishes | {"drop": 4})
+        parse_options(Edit, options)
+    edit = parse_options(Edit, options | {"drop": 4})
     assert edit.drop == (4,)
     assert edit.move == (Move(7, Pose(*POSE)), Move(8, Pose(*POSE)))
     assert edit.turn == (Turn(1, 90.0), Turn(2, -45.5))
 
 
 @pytest.mark.parametrize(
-    ("wishes", "told"),
+    ("options", "message"),
     [
         ({"move": "7:1,2,3"}, "--move 7:1,2,3 must be number:x,y,z,a,b,c"),
         ({"turn": "1.5:90"}, "--turn 1.5:90 must be number:angle"),
@@ -55,14 +55,14 @@ def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
         ({"drop": "1", "table_angle": 30}, "concerns the poses of move and add_pose"),
     ],
 )
-def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
+def test_invalid_edits_are_refused(options: dict[str, Any], message: str) -> None:
     """An invalid edit is refused with one sentence that contains the option as the user wrote it."""
-    with pytest.raises(UsageError, match=told):
-        parse_options(Edit, wishes, flag)
+    with pytest.raises(UsageError, match=message):
+        parse_options(Edit, options, flag)
 
 
 @pytest.mark.parametrize(
-    ("wishes", "told"),
+    ("options", "message"),
     [
         (lambda views: {"drop": 99}, "drop names view 99; the plan has the views 1 to {views}"),
         (lambda views: {"add_candidate": 9999}, "no candidate 9999 to add; there are candidates 0 to {last_candidate}"),
@@ -71,31 +71,28 @@ def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
         (lambda views: {"drop": [*range(1, views + 1)]}, "leaves no view"),
     ],
 )
-def test_what_is_not_there_is_refused_before_a_folder_is_made(
-    wishes: Callable[[int], dict[str, Any]], told: str, planned: Path, tmp_path: Path
+def test_missing_views_are_refused_before_a_folder_is_made(
+    options: Callable[[int], dict[str, Any]], message: str, planned: Path, tmp_path: Path
 ) -> None:
     """Views and candidates that the plan does not have are refused with its own numbers, before a folder is made."""
     run = open_run(planned)
     views, last = len(run.candidate), run.report.verdicts.total - 1
-    with pytest.raises(UsageError, match=told.format(views=views, one_more=views + 1, last_candidate=last)):
-        make_edit(run, out=tmp_path / "edited", **wishes(views))
+    with pytest.raises(UsageError, match=message.format(views=views, one_more=views + 1, last_candidate=last)):
+        make_edit(run, out=tmp_path / "edited", **options(views))
     assert not list(tmp_path.iterdir())
 
 
-_LONG = [pytest.param(wishes, marks=pytest.mark.slow) for wishes in ({}, {"keep_order": True})]
+_LONG = [pytest.param(options, marks=pytest.mark.slow) for options in ({}, {"keep_order": True})]
 
 
-@pytest.mark.parametrize("wishes", [{"turn": {2: 360}}, "its order", *_LONG])
+@pytest.mark.parametrize("options", [{"turn": {2: 360}}, "its order", *_LONG])
 def test_an_edit_that_changes_nothing_changes_nothing(
-    wishes: dict[str, Any] | str, planned: Path, tmp_path: Path
+    options: dict[str, Any] | str, planned: Path, tmp_path: Path
 ) -> None:
-    """An edit without effect keeps the views, their order and the bytes of the artefacts.
-
-    The motion is planned anew.
-    """
+    """An edit without effect keeps the views, their order and the bytes of the artefacts."""
     run = open_run(planned)
-    asked = {"order": [*range(1, len(run.candidate) + 1)]} if isinstance(wishes, str) else wishes
-    same = make_edit(run, out=tmp_path / "same", **asked)
+    requests = {"order": [*range(1, len(run.candidate) + 1)]} if isinstance(options, str) else options
+    same = make_edit(run, out=tmp_path / "same", **requests)
     names = ("viewpoints.npz", "reach.npz", "measurability.npz", "reference.ply", "planning.ply")
     for name in (*names, "cell.xml", "scene.toml"):
         assert (same.folder / name).read_bytes() == (planned / name).read_bytes(), name
@@ -104,7 +101,7 @@ def test_an_edit_that_changes_nothing_changes_nothing(
     assert same.scene.as_json() == run.scene.as_json()
 
 
-def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Path, tmp_path: Path) -> None:
+def test_a_view_in_collision_is_refused_with_the_pair(planned: Path, tmp_path: Path) -> None:
     """A view with the scanner inside the part is refused with its number and the pair in collision."""
     run = open_run(planned)
     reached = run.reach

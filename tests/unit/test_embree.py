@@ -149,7 +149,7 @@ def test_an_error_in_a_thread_is_raised():
         EmbreeRayCaster(*SQUARE).blocked(origins, np.ones((50_000, 3)))
 
 
-def test_without_embreex_one_sentence_says_what_to_install(monkeypatch):
+def test_without_embreex_the_message_names_the_package(monkeypatch):
     """A missing embreex is reported with the command that installs it. There is no fallback engine."""
     monkeypatch.setitem(sys.modules, "embreex", None)
     with pytest.raises(CellError, match=r'pip install "embreex>=4.4,<5"'):

@@ -4,43 +4,32 @@ import errno
 import itertools
 import json
 import os
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, FileError, UsageError
-from cell.robot import model as robot
-from cell.robot.arm import kinematics_of
-from cell.robot.model import load
-from cell.runs.cell import RunCell
 from cell.runs.folder import SCHEMA
 from cell.runs.run import Run, read_scan
-from cell.runs.schema import Manifest, ScannerKeys
+from cell.runs.schema import Manifest
 from cell.scan import execution
 from cell.scan.execution import ExecutionPlan, Segment, plan_execution
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.options import ScanOptions
 from cell.scan.simulated import Disturbance, Simulated
 from cell.scanners.laser_area import LaserArea
-from cell.world.embree import EmbreeRayCaster
-from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
-from drivers.contract import Capabilities, Mode, RobotState
+from drivers.contract import RobotState
 from drivers.errors import FaultError
-from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_rad
-from planner.geometry.mesh import TriangleMesh
 from planner.ports import JointLimits, Rejection
 from planner.timing.motion import Motion, retime
+from tests.support.arms import HOME, KR16
+from tests.support.runs import RecordingDriver, ball_cell, new_execution
 
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 LIMITS = JointLimits(
     to_rad(KR16.lower), to_rad(KR16.upper), KR16.velocity, KR16.acceleration, KR16.jerk
 )  # fmt: skip
@@ -58,63 +47,19 @@ def _tour(counts=(1, 2, 1), home_points=2, seed=0) -> Motion:
     return retime(via, np.repeat(np.arange(len(legs) + 1), [1, *legs]), view, LIMITS)
 
 
-def _scene() -> RunCell:
-    """Return a cell with a ball of 60 mm radius in the middle of the scanner's range at home and a distant occluder."""
-    import trimesh
-
-    model = load()
-    kinematics = kinematics_of(model)
-    T_base_object = np.eye(4)
-    T_base_object[:3, 3] = (kinematics.forward(HOME[None])[0] @ np.array([0, 0, 0.3, 1]))[:3]
-    ball = trimesh.creation.icosphere(3, 0.06)
-    mesh = TriangleMesh(ball.vertices, ball.faces)
-    away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
-    scanner = LaserArea(resolution_deg=(3.0, 3.0))
-    return RunCell(
-        SimpleNamespace(
-            T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10, speed_scaling=1,
-            table_is_endless=False, path_tolerance_mm=None,
-        ),
-        mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
-        scanner, ScannerKeys(**scanner.parameters()), kinematics, TravelBound(model),
-    )  # fmt: skip
+SCANNER = LaserArea(resolution_deg=(3.0, 3.0))
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> ExecutionFolder:
     """Return a new execution folder of an empty run."""
-    run = Run(tmp_path, Manifest(schema=SCHEMA))
-    return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
-
-
-class Recorded:
-    """A driver that reaches each set-point at once, records its moves and can call a function before each."""
-
-    def __init__(self, start=HOME, *, max_via=None, before: Callable[[int], None] = lambda move: None, off=0) -> None:
-        self.axes = from_rad(start)
-        self.moves: list[tuple[np.ndarray, float]] = []
-        self.before, self.off = before, off
-        limits = KR16
-        self.capabilities = Capabilities(
-            "recorder", limits.lower, limits.upper, limits.max_step, 1.0, max_via, False, True
-        )  # fmt: skip
-
-    def state(self) -> RobotState:
-        return RobotState(Mode.IDLE, self.axes, True)
-
-    require_ready = state
-
-    def move(self, set_points, speed) -> RobotState:
-        self.before(len(self.moves))
-        self.moves.append((set_points, speed))
-        self.axes = set_points[-1] + np.int32(self.off)
-        return RobotState(Mode.IN_POSITION, self.axes, True)
+    return new_execution(tmp_path)
 
 
 def _run(driver, motion, folder, stop=None, disturbance=None, seed=5):
     plan = plan_execution(motion, stop)
-    source = Simulated(_scene(), disturbance or Disturbance(), seed)
-    execution.drive(plan, driver, _scene(), source, folder, speed=0.5, clock=SimulatedClock())
+    source = Simulated(ball_cell(SCANNER), disturbance or Disturbance(), seed)
+    execution.drive(plan, driver, ball_cell(SCANNER), source, folder, speed=0.5, clock=SimulatedClock())
 
 
 def _events(folder) -> list[dict]:
@@ -122,10 +67,7 @@ def _events(folder) -> list[dict]:
 
 
 def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
-    """Start and segments together are exactly the plan's via points.
-
-    Each stop ends a segment, numbered in visiting order.
-    """
+    """Start and segments together are exactly the plan's via points."""
     motion = _tour()
     plan = plan_execution(motion)
     joined = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
@@ -163,7 +105,7 @@ def test_a_view_that_the_plan_does_not_have_is_refused(stop: int) -> None:
 
 def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(folder: ExecutionFolder) -> None:
     """The set-points of all moves are the plan's via points in 1e-4 deg, at the plan's speed fraction."""
-    driver, motion = Recorded(), _tour()
+    driver, motion = RecordingDriver(), _tour()
     _run(driver, motion, folder)
     sent = np.concatenate([points for points, _ in driver.moves])
     assert sent.dtype == np.int32
@@ -173,7 +115,7 @@ def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(fol
 
 def test_a_controller_that_takes_few_via_points_gets_them_in_pieces(folder: ExecutionFolder) -> None:
     """A controller with one via point per move gets the same set-points in the same order; scans are at stops only."""
-    driver, motion = Recorded(max_via=1), _tour()
+    driver, motion = RecordingDriver(max_via=1), _tour()
     _run(driver, motion, folder)
     assert [len(points) for points, _ in driver.moves] == [1] * (len(motion.via_q) - 1)
     assert (np.concatenate([points for points, _ in driver.moves]) == from_rad(motion.via_q[1:])).all()
@@ -193,7 +135,7 @@ def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFo
         assert _events(folder)[-1]["segment"] == move + 1
         seen.append(move)
 
-    _run(Recorded(before=look), _tour(), folder)
+    _run(RecordingDriver(before=look), _tour(), folder)
     assert seen == [0, 1, 2, 3]
     names = [event["event"] for event in _events(folder)]
     assert names == ["connected", *["move", "arrival", "scan"] * 3, "move", "arrival", "done"]
@@ -201,8 +143,8 @@ def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFo
 
 def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> None:
     """The recorded scanner pose is that of the reported axes, not of the set-point."""
-    scene = _scene()
-    _run(Recorded(off=7), _tour(), folder)
+    scene = ball_cell(SCANNER)
+    _run(RecordingDriver(off=7), _tour(), folder)
     scan = read_scan(folder.path / "scans" / "0002.npz")
     assert (from_rad(scan.q_reported) - from_rad(scan.q_commanded) == 7).all()
     T = scan.stored["T_object_scanner"]
@@ -211,32 +153,16 @@ def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> No
     assert (scan.stored["T_object_scanner_true"] == T).all()
 
 
-def test_without_errors_points_lie_on_the_part_on_their_rays(folder: ExecutionFolder) -> None:
-    """The counts add up to the grid, and each point is where its pixel's ray meets the plane of its face."""
-    scene = _scene()
-    _run(Recorded(), _tour(), folder)
-    scan = read_scan(folder.path / "scans" / "0001.npz")
-    assert len(scan.points) > 5
-    assert scan.stored["counts"].sum() == len(scan.stored["codes"]) == 400
-    assert scan.stored["counts"][Rejection.MEASURED] == len(scan.points)
-    T = scan.stored["T_object_scanner"]
-    rays = scene.scanner.ray_directions()[scan.stored["pixel"]] @ T[:3, :3].T
-    a, b, c = (scene.reference.vertices[scene.reference.faces[scan.stored["face"], k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    t = np.einsum("nj,nj->n", a - T[:3, 3], normal) / np.einsum("nj,nj->n", rays, normal)
-    np.testing.assert_allclose(scan.points, T[:3, 3] + t[:, None] * rays, atol=1e-6)
-
-
 def test_a_view_has_its_own_disturbance_whatever_else_is_scanned(tmp_path: Path) -> None:
     """View 2 alone has the same bytes as in the whole execution, including noise and pose error."""
     run = Run(tmp_path, Manifest(schema=SCHEMA))
     files = []
     for stop in (None, 2):
         folder = ExecutionFolder.make(run, [], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
-        _run(Recorded(), _tour(), folder, stop, Disturbance(1e-4, 1e-3, 1e-3))
+        _run(RecordingDriver(), _tour(), folder, stop, Disturbance(1e-4, 1e-3, 1e-3))
         files.append((folder.path / "scans" / "0002.npz").read_bytes())
     assert files[0] == files[1]
-    _run(Recorded(), _tour(), folder, 2, Disturbance(1e-4, 1e-3, 1e-3), seed=6)
+    _run(RecordingDriver(), _tour(), folder, 2, Disturbance(1e-4, 1e-3, 1e-3), seed=6)
     assert (folder.path / "scans" / "0002.npz").read_bytes() != files[0]
 
 
@@ -245,32 +171,28 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
     motion = _tour((1,), seed=3)
     away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
     plan = ExecutionPlan(motion.via_q[0], (Segment(away, 1, 70),), 1.0)
-    source = Simulated(_scene(), Disturbance(range_noise=1e-4), 0)
-    execution.drive(plan, Recorded(), _scene(), source, folder, speed=0.5, clock=SimulatedClock())
+    source = Simulated(ball_cell(SCANNER), Disturbance(range_noise=1e-4), 0)
+    execution.drive(plan, RecordingDriver(), ball_cell(SCANNER), source, folder, speed=0.5, clock=SimulatedClock())
     scan = read_scan(folder.path / "scans" / "0001.npz")
     assert scan.points.shape == (0, 3)
     assert scan.stored["counts"][Rejection.NO_HIT] == 400
 
 
 def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> None:
-    """An arm away from the start is refused before any move, and the message has both positions.
-
-    A deviation of 0.009 deg is accepted.
-    """
-    driver = Recorded(HOME + np.radians([0, 0.02, 0, 0, 0, 0]))
+    """An arm away from the start is refused before any move, and the message has both positions."""
+    driver = RecordingDriver(HOME + np.radians([0, 0.02, 0, 0, 0, 0]))
     with pytest.raises(DriverFailureError, match=r"-89\.9800.*-90\.0000"):
         _run(driver, _tour(), folder)
     assert driver.moves == []
-    near = Recorded(HOME + np.radians([0, 0.009, 0, 0, 0, 0]))
+    near = RecordingDriver(HOME + np.radians([0, 0.009, 0, 0, 0, 0]))
     _run(near, _tour(), folder)
     assert len(near.moves) == 4
 
 
 @pytest.mark.parametrize(
-    ("error", "event"),
-    [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")],
+    ("error", "event"), [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")]
 )
-def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
+def test_an_execution_that_ends_early_has_its_scans_and_the_reason(
     error: BaseException, event: str, folder: ExecutionFolder
 ) -> None:
     """If the third move fails, two complete scans remain, and the last event states the reason."""
@@ -280,7 +202,7 @@ def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
             raise error
 
     with pytest.raises(type(error)):
-        _run(Recorded(before=fail), _tour(), folder)
+        _run(RecordingDriver(before=fail), _tour(), folder)
     assert sorted(path.name for path in (folder.path / "scans").iterdir()) == ["0001.npz", "0002.npz"]
     last = _events(folder)[-1]
     assert (last["event"], last["reason"]) == (event, str(error) or "stopped by Ctrl-C")
@@ -290,7 +212,7 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
     """The duration on the controller's clock is that of the plan, to a microsecond per segment."""
     motion, clock = _tour(), SimulatedClock()
     with open_driver("sim://", Context(KR16, clock)) as driver:
-        scene = _scene()
+        scene = ball_cell(SCANNER)
         source = Simulated(scene, Disturbance(), 0)
         seconds = execution.drive(plan_execution(motion), driver, scene, source, folder, speed=1.0, clock=clock)
     assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
@@ -299,7 +221,7 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
 
 def test_the_clock_of_events_is_the_controllers_own() -> None:
     """Events use the controller's clock, with and without a time scale."""
-    cell = _scene()
+    cell = ball_cell(SCANNER)
     for url in ("sim://?realtime=1&time_scale=50", "sim://"):
         driver, clock = execution.make_driver(ScanOptions(driver=url), _tour(), cell)
         assert clock is driver.clock
@@ -317,11 +239,8 @@ def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("during", [True, False])
 def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder: ExecutionFolder, during: bool) -> None:
-    """No move follows if the arm was moved during or after the scan of view 2.
-
-    A scan during which the arm was moved is not kept.
-    """
-    driver, looks = Recorded(), [0]
+    """No move follows if the arm was moved during or after the scan of view 2."""
+    driver, looks = RecordingDriver(), [0]
 
     def ready() -> RobotState:
         looks[0] += len(driver.moves) == 2
@@ -339,11 +258,8 @@ def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder:
 
 @pytest.mark.parametrize("off", [1000, 300])
 def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder, off: int) -> None:
-    """No scan is taken if the arm reports arrival 0.1 or 0.03 deg off its set-point.
-
-    This is several mm at the tool.
-    """
-    driver = Recorded(off=off)
+    """No scan is taken if the arm reports arrival 0.1 or 0.03 deg off its set-point. This is several mm at the tool."""
+    driver = RecordingDriver(off=off)
     with pytest.raises(DriverFailureError, match=r"may deviate by \d+\.\d+ mm, and 1 mm are allowed"):
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 1
@@ -362,12 +278,12 @@ def test_a_full_disk_does_not_hide_why_an_execution_ended(folder: ExecutionFolde
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        _run(Recorded(before=interrupt), _tour(), folder)
+        _run(RecordingDriver(before=interrupt), _tour(), folder)
 
 
 def test_a_move_that_cannot_be_journaled_is_not_made(folder: ExecutionFolder, monkeypatch) -> None:
     """If the disk is full before the second move, that move is not made. The first scan remains."""
-    driver, write = Recorded(), os.fsync
+    driver, write = RecordingDriver(), os.fsync
 
     def full(descriptor: int) -> None:
         if driver.moves and (folder.path / "scans" / "0001.npz").exists():
@@ -393,12 +309,12 @@ def test_a_torn_event_does_not_spoil_the_next_one(folder: ExecutionFolder) -> No
     assert [event["event"] for event in _events(folder)] == ["done"]
 
 
-def test_what_a_killed_execution_scanned_is_in_its_manifest(folder: ExecutionFolder) -> None:
+def test_scans_of_a_killed_execution_are_in_its_manifest(folder: ExecutionFolder) -> None:
     """The manifest lists each scan before the next move, so that a later change of a scan is detected."""
     seen = []
 
     def look(move: int) -> None:
         seen.append(sorted(json.loads((folder.path / "manifest.json").read_text()).get("artefacts", {})))
 
-    _run(Recorded(before=look), _tour(), folder)
+    _run(RecordingDriver(before=look), _tour(), folder)
     assert seen == [[], *[[f"scans/{k + 1:04d}.npz" for k in range(n)] for n in (1, 2, 3)]]

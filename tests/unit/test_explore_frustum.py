@@ -50,10 +50,7 @@ def _on_planes(eye: SensorFrustum, T: Floats, step: float = 0.0) -> Floats:
 def test_between_points_of_a_slope_are_places_of_it(
     lean: float, distance: float, resolution: tuple[float, float]
 ) -> None:
-    """Interpolated positions lie on the plane within the measured points.
-
-    Along the slope no two neighbouring positions are farther apart than the gap.
-    """
+    """Interpolated positions lie on the plane within the measured points."""
     eye, T = _eye(*resolution), _pose(np.radians(lean), distance)
     points, gap = _on_planes(eye, T), 1.2 * distance * np.radians(resolution[0])
     places = eye.between(points, T, gap)
@@ -69,10 +66,7 @@ def test_between_points_of_a_slope_are_places_of_it(
 
 
 def test_between_points_of_a_surface_that_is_met_squarely_is_nothing() -> None:
-    """Points of a surface met squarely are closer than the gap.
-
-    With half the gap, one position lies between each two.
-    """
+    """Points of a surface met squarely are closer than the gap."""
     eye, T = _eye(), _pose(0.0, 0.4)
     points = _on_planes(eye, T)
     assert not len(eye.between(points, T, 1.2 * 0.4 * STEP))
@@ -105,8 +99,8 @@ def test_the_rays_are_those_of_a_scan() -> None:
     """Rays have the resolution of the scan, or that of the plan by default."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     eyes = [
-        prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).frustum
-        for asked in (None, 2.0)
+        prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=requests)).frustum
+        for requests in (None, 2.0)
     ]
     assert [eye.rays.shape for eye in eyes] == [(240 * 240, 3), (30 * 30, 3)]
     assert [eye.columns for eye in eyes] == [240, 30]

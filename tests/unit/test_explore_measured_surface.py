@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cell.explore import belief
-from cell.metrology.reconstruct import ReconstructionStatus
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud
@@ -64,10 +63,7 @@ def _in_the_open(points: Floats) -> VoxelSpace:
 
 
 def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
-    """The wall continues by four voxels on the same cylinder.
-
-    A lid closes the tube behind it, and none lies before it.
-    """
+    """The wall continues by four voxels on the same cylinder."""
     surface = _continued([_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into())
     assert surface is not None
     rho, z = np.hypot(*surface.centres[:, :2].T), surface.centres[:, 2]
@@ -132,11 +128,8 @@ def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
     assert space.is_measured(sheet.centres[below], sheet.normals[below]).mean() > 0.9  # voxels do not distinguish sides
 
 
-def test_what_lies_before_a_wall_is_not_believed() -> None:
-    """Voxels of a tube at least half a voxel before the wall are excluded, by comparison with the cylinder.
-
-    An occupied voxel is kept.
-    """
+def test_voxels_before_a_wall_are_not_believed() -> None:
+    """Voxels of a tube at least half a voxel before the wall are excluded, by comparison with the cylinder."""
     space, wall = _looked_into(), _wall(SEEN)
     hit = tuple(np.floor((np.array([0.0015, 0.0, SEEN + 0.0002]) - space.low) / EDGE).astype(int))
     state = np.array(space.state)
@@ -157,7 +150,7 @@ def test_what_lies_before_a_wall_is_not_believed() -> None:
     assert expected[sure].sum() > 100
 
 
-def test_a_stray_point_says_nothing_of_what_lies_before_it() -> None:
+def test_a_stray_point_does_not_change_the_surface() -> None:
     """A single stray point inside a tube, seen from the side, does not change the surface."""
     scans, stray = [_scan(_wall(SEEN), (0.0, 0.0, -0.005))], np.array([[0.0, 0.0, SEEN + 0.002]])
     with_it, without = (_continued([*scans, *more], _looked_into()) for more in ([_scan(stray, (0.1, 0.0, 0.0))], []))
@@ -218,42 +211,6 @@ def test_a_lone_voxel_has_a_surface() -> None:
         surface = belief.surface_about(space, chosen)
         assert np.abs(surface.centres.mean(axis=0) - space.centres(chosen).mean(axis=0)).max() < 0.1 * EDGE
         assert 0.5 * EDGE < surface.diagonal < (size + 2) * EDGE
-
-
-@pytest.mark.parametrize("most", [400, 40_000])
-def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The point spacing follows the voxel edge for any number of scans. It is coarser if there are too many points."""
-    asked = list[tuple[PointCloud, dict[str, float]]]()
-
-    def spy(cloud: PointCloud, **how: float) -> Any:
-        asked.append((cloud, how))
-        return SimpleNamespace(mesh=None, status=ReconstructionStatus.TOO_FEW_POINTS)
-
-    monkeypatch.setattr(belief, "reconstruct", spy)
-    scans = [_scan(_wall(SEEN, apart), (0.0, 0.0, -0.005)) for apart in (0.0001, 0.00013)]
-    monkeypatch.setattr(belief, "_MAX_CUBES", most)
-    assert _continued(scans, _looked_into()) is None
-    ((cloud, how),) = asked
-    assert how["reach"] == pytest.approx(4 * EDGE)
-    side = how["grid"] / 1.5
-    assert len(np.unique(np.floor(cloud.points / side), axis=0)) == len(cloud) > 300
-    if most > 2000:
-        assert side == pytest.approx(0.5 * EDGE)
-    else:
-        assert side > 0.6 * EDGE
-        assert 0.8 * most < len(cloud) <= most
-
-
-def test_there_are_no_more_points_than_that_where_rays_are_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cubes grow until the number of points is within the limit. Each point stays with its own scan."""
-    monkeypatch.setattr(belief, "_MAX_CUBES", 250)
-    scans = [_scan(_wall(SEEN, 0.0008), (0.0, 0.0, -0.005)), _scan(_wall(SEEN, 0.0009), (0.0, 0.0, -0.004))]
-    points, apart = belief._thin_points(scans, 0.5 * EDGE)
-    assert 150 < sum(len(each) for each in points) <= 250
-    assert apart > 0.5 * EDGE
-    for kept, scan in zip(points, scans, strict=True):
-        assert {tuple(point) for point in kept.points} < {tuple(point) for point in scan.points}
-        assert np.array_equal(kept.sensor, scan.T_reported[:3, 3])
 
 
 def test_it_is_of_all_scans_with_each_ones_own_side() -> None:

@@ -45,7 +45,7 @@ def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
     ],
     ids=["free", "nobody looked", "voted down", "farther off", "hit", "the target itself is too near"],
 )
-def test_what_may_be_the_part_lies_no_nearer_than_the_range(space: VoxelSpace, away: float, blocked: bool) -> None:
+def test_lines_of_sight_keep_the_minimum_range(space: VoxelSpace, away: float, blocked: bool) -> None:
     """A line of sight is blocked if the part may lie below the minimum range of 150 mm."""
     stand = np.array([[away, 0.0, 0.0]])
     assert MinRangeOccluder(None, space, 0.15).blocked(stand, TARGET).tolist() == [blocked]
@@ -69,18 +69,15 @@ def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
 
 
 @pytest.mark.parametrize(
-    ("wall", "state", "told"),
+    ("wall", "state", "message"),
     [(0.0, UNKNOWN, 0.0), (0.07, UNKNOWN, 1.0), (0.07, FREE, 0.0), (-0.05, UNKNOWN, 0.0)],
     ids=["where it was believed", "before the range", "before the range, where others saw nothing", "farther off"],
 )
 @pytest.mark.parametrize("beside", [0.0, 0.2])
-def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
-    wall: float, state: int, told: float, beside: float
+def test_samples_without_points_before_unseen_space_count_as_too_near(
+    wall: float, state: int, message: float, beside: float
 ) -> None:
-    """Samples without a point count as too near if the part lies in unseen space before the minimum range.
-
-    The source is 200 mm before the believed surface. Rays begin at the source, not at the scanner's frame.
-    """
+    """Samples without a point count as too near if the part lies in unseen space before the minimum range."""
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
@@ -95,10 +92,12 @@ def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
         points, np.tile([1.0, 0.0, 0.0], (5, 1)), np.full(5, 0.2), np.zeros(5, dtype=int), np.zeros(5, dtype=int)
     )
     view = (_scan(eye, T, wall), T)
-    assert area_below_min_range(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(told)
+    assert area_below_min_range(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(
+        message
+    )
     sees = np.zeros((5, 2), dtype=bool)
     sees[0, 0] = sees[1:3, 1] = True  # two samples are expected of neither view
-    assert area_below_min_range(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * told)
+    assert area_below_min_range(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * message)
 
 
 def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None:

@@ -28,11 +28,8 @@ _OF = OpenSamples(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zer
 
 
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
-def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
-    """A tried sample near measured surface is a remainder.
-
-    Others have the view's verdict, or whether they were tried.
-    """
+def test_tried_samples_beside_measured_surface_are_remainders(verdict: Verdict) -> None:
+    """A tried sample near measured surface is a remainder."""
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
@@ -45,21 +42,18 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
 @pytest.mark.parametrize(
     ("casters", "near"), [((_FAR, _WALL), REMAINDER), ((_WALL, _FAR), Reason.SOURCE_SHADED_BY_PART)]
 )
-def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_it(
+def test_tried_samples_shaded_by_the_support_are_remainders(
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
-    """A tried sample near measured surface is a remainder even if the stand shades it.
-
-    Samples that are farther off, untried or shaded by the part are reported as occluded.
-    """
+    """A tried sample near measured surface is a remainder even if the stand shades it."""
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
-    told = [describe_cause(code) for code in found.reason.tolist()]
-    assert told == ["laser or sensor occluded"] * 2 + [describe_cause(near), "laser or sensor occluded"]
+    message = [describe_cause(code) for code in found.reason.tolist()]
+    assert message == ["laser or sensor occluded"] * 2 + [describe_cause(near), "laser or sensor occluded"]
 
 
-def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
+def test_grazing_samples_are_no_remainder() -> None:
     """A view from the side is reported as too grazing for tried and untried samples."""
     views = aim_viewpoints(
         np.zeros((1, 3)), np.array([[0.995, 0, np.sqrt(1 - 0.995**2)]]), np.array([-1]), [0.1], [0.0]
@@ -70,11 +64,11 @@ def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
     assert found.reason.tolist() == [Reason.GRAZING_SOURCE] * 4
 
 
-def test_sentences_that_are_the_same_are_told_once() -> None:
+def test_equal_sentences_are_reported_once() -> None:
     """Areas [mm2] of reasons with the same sentence are added. The largest area comes first."""
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
-    told = UncoveredReport(_samples(4), codes, views).by_area()
-    assert [(each.cause, each.area_mm2) for each in told] == [
+    message = UncoveredReport(_samples(4), codes, views).by_area()
+    assert [(each.cause, each.area_mm2) for each in message] == [
         (describe_cause(Reason.SENSOR_SHADED), 4.0), (describe_cause(TRIED), 4.0), (describe_cause(NOT_SELECTED), 2.0)
     ]  # fmt: skip

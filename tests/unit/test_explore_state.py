@@ -33,8 +33,8 @@ from planner.values import Floats
 from planner.viewpoints.viewpoints import aim_viewpoints
 
 
-def _scene(**wishes: float) -> Scene:
-    return scene_from_options(None, {"place": (1100, 400, 100), **wishes}, "mug")
+def _scene(**settings: float) -> Scene:
+    return scene_from_options(None, {"place": (1100, 400, 100), **settings}, "mug")
 
 
 def _eye() -> SensorFrustum:
@@ -74,7 +74,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("points", "told"),
+    ("points", "message"),
     [
         (np.empty((0, 3)), "no ray of stages/0001 hit a surface"),
         (np.tile([[0.2, 0.0, 0.0]], (5, 1)), "outside the cylinder"),
@@ -82,20 +82,17 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     ],
     ids=["nothing hit", "outside its cylinder", "moved"],
 )
-def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) -> None:
+def test_points_that_cannot_be_stop_an_exploration(points: Floats, message: str) -> None:
     """Implausible points stop an exploration with one sentence on the cause."""
     space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003)
     space = replace(space, state=np.full_like(space.state, FREE))
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=message):
         require_plausible(space, Path("stages/0001"), [(points, np.eye(4))], _eye())
 
 
-@pytest.mark.parametrize(("away", "told"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
-def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool) -> None:
-    """A plate found farther away is reported as moved, because its rays pass the known points.
-
-    A plate found nearer hides the known points, and a shift of 6 mm is within the tolerance.
-    """
+@pytest.mark.parametrize(("away", "message"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
+def test_a_part_that_was_moved_away_stops_an_exploration(away: float, message: bool) -> None:
+    """A plate found farther away is reported as moved, because its rays pass the known points."""
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
 
@@ -106,7 +103,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
 
     space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003).with_points(plate(0.01), [])
     views = [(plate(0.01 - away), T)]
-    if not told:
+    if not message:
         require_plausible(space, Path("stages/0002"), views, eye)
         return
     assert space.contradicted_share(views[0][0]) == 0
@@ -115,7 +112,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
         require_plausible(space, Path("stages/0002"), views, eye)
 
 
-def test_what_a_view_cannot_see_was_not_moved() -> None:
+def test_invisible_points_are_no_sign_of_motion() -> None:
     """Known points below the range, beyond the outline or fewer than 100 give no share of passed points."""
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
@@ -130,7 +127,7 @@ def test_what_a_view_cannot_see_was_not_moved() -> None:
     assert eye.passed(before[:0], wall, T, 0.01) == eye.passed(before, wall[:0], T, 0.01) == 0.0
 
 
-def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
+def test_a_later_batch_without_points_is_accepted() -> None:
     """After a first hit, a batch without points is accepted, and its rays add votes to the voxels."""
     space, stand = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
     space, nothing = space.with_points(np.zeros((1, 3)), [stand]), np.empty((0, 3))
@@ -151,18 +148,15 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     batches = {
         name: [policy(ExploreOptions(), ExplorationState(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()
     }
-    said = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
-    assert said == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
+    output = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
+    assert output == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
     limited = [POLICIES["two-stage"](ExploreOptions(), ExplorationState(n, 7, limited=True)) for n in (1, 2)]
     assert limited[0] == (Batch(7, include_covered=True),)
     assert not any(batch.include_covered for batch in limited[1])
 
 
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
-    """Stepwise begins with one view or with the ring, and then tries the surface of the latest batch first.
-
-    The minimum gain factor is 2 on believed surface and 0.6 on measured surface.
-    """
+    """Stepwise begins with one view or with the ring, and then tries the surface of the latest batch first."""
     policy = POLICIES["stepwise"]
     assert policy(ExploreOptions(), ExplorationState(0, None)) == (Batch(1),)
     assert policy(ExploreOptions(ring=4), ExplorationState(0, None)) == (Batch(4),)
@@ -174,10 +168,7 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
-    """After six rough views the minimum gain factor falls from 3 to 1 with the stages.
-
-    The measured surface is tried last.
-    """
+    """After six rough views the minimum gain factor falls from 3 to 1 with the stages."""
     policy = POLICIES["two-stage"]
     much, less, least = (Batch(9, min_gain_factor=worth) for worth in (3.0, 1.5, 1.0))
     last = Batch(9, on=MEASURED, min_gain_factor=0.6)
@@ -188,7 +179,7 @@ def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
         assert policy(ExploreOptions(), ExplorationState(stages, 9, on=MEASURED)) == (last,)
 
 
-def test_what_the_model_misses_of_the_limits() -> None:
+def test_the_share_beyond_the_limits() -> None:
     """The share of a square beyond the spacing limit falls from 1 to 0 as the limit grows."""
     square = trimesh.creation.box((0.08, 0.08, 0.002))
     mesh = TriangleMesh(np.asarray(square.vertices, dtype=np.float64), np.asarray(square.faces, dtype=np.int32))
@@ -206,7 +197,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
-def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
+def test_unseen_space_contains_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
     """The mesh of unseen space contains all corners of each voxel that is not free, including isolated voxels."""
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
     state = np.where(np.random.default_rng(1).random(space.state.shape) < share, UNKNOWN, FREE).astype(np.uint8)
@@ -230,21 +221,18 @@ class Stub:
     usable: Any
 
 
-def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None:
+def test_a_batch_has_as_many_views_as_reach_the_minimum_gain() -> None:
     """A batch has as many views as reach the minimum gain; a gain ratio of 0 leaves one view to be refused."""
     areas = np.array([3.0, 2.0, 1.0])
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
     problem = Stub(M, lambda: np.ones(3, dtype=bool))
     for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
-        asked = stage.BatchRequest(None, None, Batch(None, min_gain_factor=worth), 0.01, 3.0, came)
-        assert max(len(stage._views_with_gain(problem, asked)), 1) == views
+        requests = stage.BatchRequest(None, None, Batch(None, min_gain_factor=worth), 0.01, 3.0, came)
+        assert max(len(stage._views_with_gain(problem, requests)), 1) == views
 
 
-def test_what_came_is_held_against_what_was_expected() -> None:
-    """The ratio is the median of newly measured over expected area.
-
-    The first batch and batches on measured surface are not counted.
-    """
+def test_the_gain_ratio_is_the_median_of_realised_over_expected() -> None:
+    """The ratio is the median of newly measured over expected area."""
     went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
     stages = [
         SimpleNamespace(expected_gain_mm2=area, realised_gain_mm2=new, planning_surface=on) for area, new, on in went
@@ -258,7 +246,7 @@ def test_what_came_is_held_against_what_was_expected() -> None:
     assert _belief_gain_ratio(SimpleNamespace(batches=little)) == 1.0  # a smaller gain is part of the gain record
 
 
-def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
+def test_the_believed_solid_is_that_of_the_space() -> None:
     """The believed solid is that of the space, and the believed surface encloses it."""
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002).with_points(
         np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])]
@@ -269,7 +257,7 @@ def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
     assert np.array_equal(known.surface.vertices, belief.surface_about(space, space.belief_voxels()).vertices)
 
 
-def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
+def test_a_belief_is_written_and_read_back(tmp_path: Path) -> None:
     """Voxels, points and gain record are equal after writing and reading."""
     (tmp_path / "stages").mkdir()
     rng, unknown = np.random.default_rng(3), VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
@@ -288,16 +276,13 @@ def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
 
 
 def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -> None:
-    """The given cylinder selects the scanner for simulated and real parts.
-
-    Without a cylinder the simulated part selects it.
-    """
+    """The given cylinder selects the scanner for simulated and real parts."""
     options, elsewhere = ExploreOptions(cylinder_mm=(400, 300)), ScanOptions(
         acquire="command:take", points_frame="base", points_units="mm"
     )  # fmt: skip
     work, real, own = (
-        prepare_exploration(Session(None, out=tmp_path), _scene(), asked, scanning)
-        for asked, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
+        prepare_exploration(Session(None, out=tmp_path), _scene(), requests, scanning)
+        for requests, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
     )
     assert work.scene.scanner == real.scene.scanner != own.scene.scanner
     assert work.frustum.near == real.frustum.near > own.frustum.near
@@ -306,12 +291,12 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """An exploration without a reachable first view ends with exit code 4."""
     given: Any = (None, SimpleNamespace(batches=()), (), "the arm reaches no view", ())
-    with pytest.raises(UnreachableError, match="no view can be planned: the arm reaches no view") as told:
+    with pytest.raises(UnreachableError, match="no view can be planned: the arm reaches no view") as message:
         _finish(*given)
-    assert told.value.exit_code == 4
+    assert message.value.exit_code == 4
 
 
-def test_the_ring_says_nothing_of_standing_too_near() -> None:
+def test_the_ring_is_not_part_of_the_minimum_range_history() -> None:
     """The first batch is not part of the minimum-range history, since it was planned for an unknown cylinder."""
     ring, batch = (SimpleNamespace(below_range_mm2=near, expected_gain_mm2=9.0) for near in (8.0, 1.0))
     file: Any = SimpleNamespace(batches=[ring, batch])

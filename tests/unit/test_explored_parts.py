@@ -60,12 +60,7 @@ def _hollow() -> TriangleMesh:
     return _mesh(trimesh.creation.box((0.05, 0.05, 0.04)), inside)
 
 
-PARTS = {
-    "wires": _wires(),
-    "ring": _torus(),
-    "two bodies": _mesh(_ball(-0.025), _ball(0.025)),
-    "closed box": _hollow(),
-}
+PARTS = {"wires": _wires(), "ring": _torus(), "two bodies": _mesh(_ball(-0.025), _ball(0.025)), "closed box": _hollow()}
 
 
 def _poses(count: int = 14) -> Floats:
@@ -112,14 +107,14 @@ def _surface(mesh: TriangleMesh) -> Floats:
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_no_surface_is_farther_than_the_clearance_from_what_the_arm_keeps_away_from(name: str) -> None:
+def test_no_surface_is_farther_than_the_clearance_from_unseen_space(name: str) -> None:
     """Free space ends within the clearance of the true surface, even for wires that most rays miss."""
     space = _explored(name)
     away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
     assert space.values_at(_surface(PARTS[name]), away).max() < CLEARANCE
 
 
-def test_what_is_believed_has_the_hole_of_a_ring() -> None:
+def test_the_believed_ring_has_its_hole() -> None:
     """The hole of a ring is not believed to be part, and more than 95 % of the ring is measured."""
     space = _explored("ring")
     middle = np.zeros((1, 3))
@@ -137,7 +132,7 @@ def test_two_bodies_are_believed_as_two() -> None:
     assert (sizes > 0.2 * sizes.max()).sum() == 2, (count, sizes)
 
 
-def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
+def test_the_inside_of_a_closed_box_stays_unknown_and_is_reported() -> None:
     """No voxel in a closed box is free, and its volume is reported as unseen."""
     space = _explored("closed box")
     x, y, z = np.abs(space.centres(space.state == FREE)).T

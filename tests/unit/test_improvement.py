@@ -67,10 +67,7 @@ def motion(found: EquivalentViews) -> Tour:
 
 
 def test_the_plan_has_the_picks_of_the_motion() -> None:
-    """Cover and motion have the same candidates at the same stops.
-
-    The marginal areas add up, and the number of views is unchanged.
-    """
+    """Cover and motion have the same candidates at the same stops."""
     rows = MATRIX[:, :3].any(axis=1)
     chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
@@ -133,9 +130,9 @@ def test_original_views_are_restored_until_the_share_is_kept(seed: int) -> None:
     own, found = np.arange(20), SimpleNamespace(views=np.arange(20, 39), replaces=np.arange(1, 20))
     least, low = known.share_of_coverable(own), known.share_of_coverable(found.views)
     back = []
-    for asked in (low, low + 0.25 * (least - low) if least > low else low, least):
-        views = restored_views(problem, own, found, asked)  # type: ignore[arg-type]
-        assert known.share_of_coverable(views) >= asked
+    for requests in (low, low + 0.25 * (least - low) if least > low else low, least):
+        views = restored_views(problem, own, found, requests)  # type: ignore[arg-type]
+        assert known.share_of_coverable(views) >= requests
         if len(views) == len(found.views):
             assert ((views == found.views) | (views == own[found.replaces])).all()
             back.append(int((views != found.views).sum()))

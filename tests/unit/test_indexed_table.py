@@ -141,10 +141,7 @@ def test_a_tour_groups_views_by_angle() -> None:
 
 
 def test_a_home_in_reach_of_the_table_is_refused() -> None:
-    """A home position in reach of the part on an indexed table is reported.
-
-    With a synchronised table it is not.
-    """
+    """A home position in reach of the part on an indexed table is reported. With a synchronised table it is not."""
     block = trimesh.creation.box((0.2, 0.1, 0.9))
     scene = {
         "table": {"position_mm": [900.0, 500.0, -400.0], "moves": "indexed", "swing_mm": 1500.0},

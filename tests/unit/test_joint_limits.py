@@ -13,10 +13,7 @@ MODEL = robot.limits(robot.load())
 
 
 def test_omitted_limits_follow_the_given_ones() -> None:
-    """Half the speed halves acceleration and jerk, and half the acceleration halves the jerk.
-
-    The jerk may be infinite.
-    """
+    """Half the speed halves acceleration and jerk, and half the acceleration halves the jerk."""
     slow = robot.override_limits(MODEL, np.degrees(MODEL.velocity) / 2)
     np.testing.assert_allclose(slow.acceleration, MODEL.acceleration / 2)
     np.testing.assert_allclose(slow.jerk, MODEL.jerk / 2)

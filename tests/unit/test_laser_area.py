@@ -88,10 +88,7 @@ def test_every_limit_is_inclusive_and_the_first_failed_one_is_reported(point, no
 
 
 def test_the_sensor_s_grazing_limit_is_that_of_the_reflected_ray():
-    """The grazing limit of the sensor applies to the angle to the sensor.
-
-    For a normal at 40 degrees that leans away from the sensor it is atan(75 / 300) larger.
-    """
+    """The grazing limit of the sensor applies to the angle to the sensor."""
     point = np.array([0, 0, 0.3])
     normal = _towards(point, 40.0)
     at_sensor = np.degrees(np.arccos(normal @ (np.array([0.075, 0, 0]) - point) / np.hypot(0.075, 0.3)))

@@ -41,10 +41,7 @@ def _in_sheet(degrees: float, depth: float) -> np.ndarray:
     ],
 )
 def test_every_limit_is_inclusive_and_the_first_failed_one_is_reported(point, normal, reason) -> None:
-    """Points on a limit are measured, and points slightly beyond are rejected.
-
-    Eight steps of a sweep of 80 mm are 10 mm thick.
-    """
+    """Points on a limit are measured, and points slightly beyond are rejected."""
     scanner = _line(grazing_max_deg=80)
     assert scanner.reject(point[None], normal[None]).tolist() == [reason]
 

@@ -31,10 +31,7 @@ def cube():
 
 
 def test_a_side_of_a_cube_is_measured_from_in_front_of_it_only(cube):
-    """Row i, column j is set if and only if sample and viewpoint belong to the same side.
-
-    All other sides are grazing.
-    """
+    """Row i, column j is set if and only if sample and viewpoint belong to the same side."""
     _, caster, samples, views = cube
     result = fill_matrix(views, samples, SCANNER, caster)
     assert result.shape == (600, 24)
@@ -196,10 +193,7 @@ def test_appended_rows_share_the_area_of_their_face():
 
 
 def test_two_regions_on_a_face_keep_their_areas():
-    """Areas 1 and 3 on a face of 4 are kept, with five rows on the small region and one on the large.
-
-    An equal split over the face would give each row 4 / 6, and the small region 3.3 of 4.
-    """
+    """Areas 1 and 3 on a face of 4 are kept, with five rows on the small region and one on the large."""
     M, more = _matrix([[1], [0]], [0, 0], 2.0), _matrix([[1], [0], [1], [0]], [0, 0, 0, 0], 0.1)
     M = replace(M, samples=replace(M.samples, areas=np.array([1.0, 3.0]), region=np.array([0, 1], dtype=np.int32)))
     more = replace(more, samples=replace(more.samples, region=np.zeros(4, dtype=np.int32)))

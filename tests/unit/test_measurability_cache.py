@@ -77,13 +77,6 @@ def test_the_file_s_fields_are_the_run_folder_s(tmp_path, parts, matrix):
     assert names >= {"indptr", "indices", "shape", "points", "normals", "areas", "face", "planning_face", "key"}
 
 
-def test_equal_matrices_give_equal_bytes(tmp_path, parts, matrix):
-    """The file has no clock time and no name."""
-    for name in ("a.npz", "b.npz"):
-        save(tmp_path / name, matrix, _key(parts), column_hashes(parts[2]))
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-
-
 def test_every_input_changes_the_key(parts):
     """One changed number in any input gives another key, and equal inputs give the same key."""
     mesh, features, _, scanner, method = parts

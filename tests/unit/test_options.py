@@ -106,6 +106,12 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
         assert scene_from_options(arguments["scene"], arguments["given"], arguments.get("part"), flag)
 
 
+def test_every_visible_command_has_an_example() -> None:
+    """The help of each visible command has at least one line to copy."""
+    commands = {name for name, command in ROOT.commands.items() if not command.hidden}
+    assert commands <= {line.split()[1] for line in _examples(ROOT)}
+
+
 def test_values_and_texts_are_equivalent() -> None:
     """Both forms of each kind give the same tables, and numbers of NumPy are accepted as numbers."""
     texts = {
@@ -118,18 +124,18 @@ def test_values_and_texts_are_equivalent() -> None:
         "overlap": {"%": 20}, "curve": True, "pose_sd": {"mm": 0.5, "deg": 0.1}, "seed": np.int64(7), "coverage": 0.9,
         "cost": "time", "speed": 0.5, "camera": (-60.0, 20.0), "hide": ["robot", "floor"],
     }  # fmt: skip
-    asked = option_tables(texts, "mug")
-    assert asked == option_tables(values, "mug")
-    assert asked["part"] == {"name": "mug"}
-    assert asked["placement"] == {"position_mm": [1200, 500, 0], "abc_deg": [90, 0, 0]}
-    assert asked["plan"]["overlap_share"] == 0.2
-    assert (asked["plan"]["pose_sd_mm"], asked["plan"]["pose_sd_deg"]) == (0.5, 0.1)
+    requests = option_tables(texts, "mug")
+    assert requests == option_tables(values, "mug")
+    assert requests["part"] == {"name": "mug"}
+    assert requests["placement"] == {"position_mm": [1200, 500, 0], "abc_deg": [90, 0, 0]}
+    assert requests["plan"]["overlap_share"] == 0.2
+    assert (requests["plan"]["pose_sd_mm"], requests["plan"]["pose_sd_deg"]) == (0.5, 0.1)
     assert option_tables({"overlap": "500mm2"}) == {"plan": {"overlap_mm2": 500.0}}
     assert option_tables({"place": (1, 2, 3)}) == {"placement": {"position_mm": [1, 2, 3]}}
 
 
 @pytest.mark.parametrize(
-    ("wishes", "words"),
+    ("settings", "words"),
     [
         ({"coverag": 0.9}, "there is no option coverag; did you mean 'coverage'? there are "),
         ({"place": (1200, 500)}, "place (1200, 500) must be x,y,z or x,y,z,A,B,C (mm and deg), for instance place 1"),
@@ -141,13 +147,13 @@ def test_values_and_texts_are_equivalent() -> None:
         ({"alpha": ""}, "alpha  must be a number"),
     ],
 )
-def test_an_invalid_option_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
+def test_an_invalid_option_is_named_as_it_was_written(settings: dict[str, Any], words: str) -> None:
     """The message has the keyword of Python or the option of the command line."""
     with pytest.raises(UsageError) as caught:
-        option_tables(wishes)
+        option_tables(settings)
     assert words in str(caught.value)
     with pytest.raises(UsageError, match="--"):
-        option_tables(wishes, spell=flag)
+        option_tables(settings, spell=flag)
 
 
 def test_a_contradiction_names_options_and_keys_as_they_were_written(tmp_path: Path) -> None:
@@ -164,17 +170,17 @@ def test_a_contradiction_names_options_and_keys_as_they_were_written(tmp_path: P
 
 def test_options_of_a_scan_are_those_given_and_checked() -> None:
     """Given options are recorded, invalid ones are refused in one sentence, and a manifest restores them."""
-    asked = parse_options(ScanOptions, {"pose_error": "0.5mm,0.1deg", "register": False}, flag)
-    assert asked.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
-    assert (asked.pose_error_mm, asked.pose_error_deg, asked.registers) == (0.5, 0.1, False)
-    assert ScanOptions.from_manifest({**asked.as_manifest(), "of_later": 1}) == asked
+    requests = parse_options(ScanOptions, {"pose_error": "0.5mm,0.1deg", "register": False}, flag)
+    assert requests.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
+    assert (requests.pose_error_mm, requests.pose_error_deg, requests.registers) == (0.5, 0.1, False)
+    assert ScanOptions.from_manifest({**requests.as_manifest(), "of_later": 1}) == requests
     with pytest.raises(UsageError, match="--noise is 'loud'; valid are: none, model"):
         parse_options(ScanOptions, {"noise": "loud"}, flag)
     with pytest.raises(ValueError, match="seed is 'three'; it must be a whole number"):
         ScanOptions.from_manifest({"seed": "three"})
 
 
-def test_a_resumed_scan_keeps_what_it_was_begun_with() -> None:
+def test_a_resumed_scan_has_its_original_options() -> None:
     """A resumed scan takes speed and similar options from the new command, and the driver only if it is given."""
     begun = ScanOptions(driver="serial:///dev/x", range_noise_mm=0.1, speed=0.5, reset=True)
     now = begun.resumed(ScanOptions(speed=0.05))

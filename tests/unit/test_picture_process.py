@@ -25,7 +25,7 @@ def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
         assert (tmp_path / f"{share}.png").read_bytes() == (tmp_path / "alone.png").read_bytes()
 
 
-def test_picture_that_cannot_be_drawn_is_told(tmp_path: Path) -> None:
+def test_a_failed_picture_is_reported(tmp_path: Path) -> None:
     """A plot with an invalid path raises an error with the message of the process; the other plot is drawn."""
     with plot_process() as drawing:
         drawing.send("cover_curve", tmp_path / "missing" / "cover.png", **COVER)

@@ -7,26 +7,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell.errors import FileError, SceneError, UsageError
+from cell.errors import SceneError, UsageError
 from cell.robot import dynamics
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.robot.dynamics import FACEPLATE_THICKNESS, STEEL_DENSITY, Tool, ToolBody, table_load_of
-from cell.robot.plant import SETTLE_TOLERANCE, MujocoPlant, PlantSettings, servo_gains
+from cell.robot.plant import SETTLE_TOLERANCE, MujocoPlant, PlantSettings
 from cell.scan.plants import built_in_plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Mode
 from drivers.errors import DriverError
-from drivers.limits import Limits
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
 from planner.kinematics.rotary_table import RotaryTable
+from tests.support.arms import HOME, KR16
 
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 CONTEXT = Context(KR16, plants=built_in_plants())
 URL = "sim://?plant=mujoco"
 _RATES = KR16.velocity, KR16.acceleration
@@ -233,15 +230,6 @@ def test_a_table_is_a_hinge_with_its_load() -> None:
         MujocoPlant(HOME, table=load)
 
 
-def test_gains_have_one_bandwidth() -> None:
-    """With the assumed inertia all roots are damped and within 1.7 of the bandwidth."""
-    made = servo_gains(np.full(6, 3.0), 5.0)
-    roots = np.roots([3.0, made.damping[0], made.stiffness[0], made.integral[0]]) / (2 * np.pi * 5.0)
-    assert (roots.real < -0.1).all()
-    assert np.abs(roots).max() < 1.7
-    assert np.abs(roots.imag / roots.real).max() < 0.6
-
-
 @pytest.mark.parametrize(
     "values",
     [{"time_step": 0.0}, {"time_step": np.nan}, {"bandwidth": -1.0}, {"mass_error": -1.0}, {"friction_error": -1.1}],
@@ -263,17 +251,3 @@ def test_invalid_input_is_refused() -> None:
         MujocoPlant(HOME).advance(float("nan"))
     with pytest.raises(SceneError, match="no shape named housing"):
         dynamics.tool_of(robot.load())
-
-
-def test_a_robot_without_drives_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message names the missing parameter."""
-    real = robot.spec
-
-    def without() -> mujoco.MjSpec:
-        spec = real()
-        spec.delete(spec.numeric("axis_rotor_inertia_kg_m2"))
-        return spec
-
-    monkeypatch.setattr(robot, "spec", without)
-    with pytest.raises(FileError, match="axis_rotor_inertia_kg_m2"):
-        MujocoPlant(HOME)

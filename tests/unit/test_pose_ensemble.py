@@ -96,7 +96,7 @@ def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
     np.testing.assert_allclose(share, [0.5, 0.8413, 1.0], atol=4 * 0.5 / np.sqrt(members))
 
 
-def test_excluded_columns_are_not_evaluated() -> None:
+def test_only_selected_columns_are_evaluated() -> None:
     """Entries of excluded columns have no hit, and an ensemble without errors has exact poses."""
     samples, views = scene([0.0, 5.0])
     M = fill_matrix(views, samples, Cone(), Nothing())

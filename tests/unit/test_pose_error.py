@@ -33,11 +33,11 @@ def test_switched_off_nothing_changes_bit_for_bit() -> None:
     assert not off.moves_pose
 
 
-def test_the_pose_error_has_the_sigma_asked_for_on_every_axis() -> None:
+def test_the_pose_error_has_the_given_sigma_on_every_axis() -> None:
     """Position and rotation vector of the error, in the scanner's frame, have zero mean and the given sigma."""
-    asked, T = Disturbance(position=0.5e-3, rotation=np.radians(0.1)), _pose()
+    requests, T = Disturbance(position=0.5e-3, rotation=np.radians(0.1)), _pose()
     rng = np.random.default_rng(7)
-    errors = [np.linalg.inv(T) @ asked.true_pose(T, rng) for _ in range(3000)]
+    errors = [np.linalg.inv(T) @ requests.true_pose(T, rng) for _ in range(3000)]
     position = np.array([E[:3, 3] for E in errors])
     turn = Rotation.from_matrix(np.array([E[:3, :3] for E in errors])).as_rotvec()
     for values, sigma in ((position, 0.5e-3), (turn, np.radians(0.1))):
@@ -61,16 +61,16 @@ def test_range_noise_lies_along_the_ray_only() -> None:
 
 def test_a_pose_error_moves_the_scan_as_one_piece() -> None:
     """Points are stored relative to the reported pose, so they are unchanged in scanner coordinates."""
-    asked, T = Disturbance(position=1e-2, rotation=0.05), _pose()
+    requests, T = Disturbance(position=1e-2, rotation=0.05), _pose()
     rng = np.random.default_rng(5)
-    true = asked.true_pose(T, rng)
+    true = requests.true_pose(T, rng)
     points = rng.normal(size=(20, 3))
-    told = asked.reported_points(points, true, T, np.zeros(3), rng)
+    message = requests.reported_points(points, true, T, np.zeros(3), rng)
 
     def scanner(pose, p):
         return (p - pose[:3, 3]) @ pose[:3, :3]
 
-    np.testing.assert_allclose(scanner(T, told), scanner(true, points), atol=1e-12)
+    np.testing.assert_allclose(scanner(T, message), scanner(true, points), atol=1e-12)
 
 
 def test_difference_of_poses_is_the_distance_and_the_angle() -> None:

@@ -50,7 +50,7 @@ def test_equivalent_mounts(text: str, near: float, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("quaternion = [1.0, 0.0, 0.0, 0.1]", "mount.quaternion has the length 1.005"),
         ("quaternion = [1.0, 0.0, 0.0]", "mount.quaternion has 3 values"),
@@ -61,9 +61,9 @@ def test_equivalent_mounts(text: str, near: float, tmp_path: Path) -> None:
         ("matrix_mm = [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,0.0],[0.0,5.0,0.0,1.0]]", "last row"),
     ],
 )
-def test_invalid_mounts(text: str, told: str, tmp_path: Path) -> None:
+def test_invalid_mounts(text: str, message: str, tmp_path: Path) -> None:
     """The message has the key and the rule."""
-    with pytest.raises(SceneError, match=told):
+    with pytest.raises(SceneError, match=message):
         _scene(tmp_path, f"[mount]\n{text}")
 
 
@@ -71,9 +71,9 @@ def test_the_built_in_scene_file_shows_both_forms() -> None:
     """The commented lines of models/scene.toml are the default mount."""
     lines = (Path(__file__).parents[2] / "models" / "scene.toml").read_text().splitlines()
     shown = [line.lstrip("# ").partition(" #")[0] for line in lines if line.startswith(("# quaternion", "# matrix_mm"))]
-    said = tomllib.loads("\n".join(shown))
-    assert said["quaternion"] == [1.0, 0.0, 0.0, 0.0]
-    assert said["matrix_mm"][2] == [0.0, 0.0, 1.0, 120.0]
+    output = tomllib.loads("\n".join(shown))
+    assert output["quaternion"] == [1.0, 0.0, 0.0, 0.0]
+    assert output["matrix_mm"][2] == [0.0, 0.0, 1.0, 120.0]
 
 
 def test_a_placement_by_the_origin_is_one_by_the_centre(tmp_path: Path) -> None:

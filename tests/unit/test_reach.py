@@ -106,12 +106,7 @@ def test_verdicts():
     inside = KINEMATICS.forward(np.deg2rad([[-40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))[0]
     behind = KINEMATICS.forward(np.deg2rad([[40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))[0]
     reach = solved(viewpoints_of(np.stack([far, beyond, inside, behind])[:, None]), Wall(0.0))
-    assert reach.verdict.tolist() == [
-        Verdict.OUT_OF_REACH,
-        Verdict.JOINT_LIMIT,
-        Verdict.REACHABLE,
-        Verdict.COLLISION,
-    ]
+    assert reach.verdict.tolist() == [Verdict.OUT_OF_REACH, Verdict.JOINT_LIMIT, Verdict.REACHABLE, Verdict.COLLISION]
     assert reach.blocker[:3] == ("", "", "")
     assert reach.blocker[3] == "housing with wall"
     assert reach.blockers() == {"housing with wall": 1}

@@ -69,7 +69,7 @@ def test_nothing_is_invented_beyond_two_spacings(views: int) -> None:
     assert longest < np.sqrt(3) * 2 * result.grid
 
 
-def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
+def test_a_surface_is_continued_by_the_requested_distance() -> None:
     """A ball seen from one side is continued to 8 mm from its last points, within a fifth of that along the ball."""
     scan = merge([_ball_scan(VIEWS[0])])
     short, longer = (_mesh_of(reconstruct(scan, reach=reach)) for reach in (0.0, 0.008))
@@ -80,7 +80,7 @@ def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
     assert cKDTree(scan.points).query(short.vertices)[0].max() < 0.004
 
 
-def test_what_it_was_made_of_is_told() -> None:
+def test_the_result_has_its_input_points() -> None:
     """The result has the cloud without isolated points, or all usable points if they are too few."""
     ball = [_ball_scan(view) for view in VIEWS]
     result = reconstruct(merge([*ball, ScanCloud(np.array([[0.0, 0.0, 2 * RADIUS]]), VIEWS[4])]))

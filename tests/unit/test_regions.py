@@ -1,6 +1,5 @@
 """Regions of a part: selected triangles, targets, and refusals."""
 
-import importlib.util
 import json
 import math
 from pathlib import Path
@@ -25,12 +24,9 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability.quality import LimitedScanner, QualityLimits
 from planner.ports import Rejection
-from tests.step_files import StepFile, bored_block
+from tests.step_files import StepFile, bored_block, needs_cascadio
 
 NO = {"name": "no", "care": "no"}
-needs_cascadio = pytest.mark.skipif(
-    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
-)
 
 
 def scene_with(path: Path, regions: list[dict], units: str | None = None, **tables: dict) -> Scene:
@@ -95,8 +91,8 @@ def test_a_box_cuts_triangles(box: Path) -> None:
     part = tagged(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm")
     assert area(part, 0) == pytest.approx(3 * 2 * (20 + 30))
     assert area(part, 1) == pytest.approx(2 * (20 * 30 + 20 * 40 + 30 * 40) - 300)
-    told = region_areas(part, scene_with(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm"))
-    assert told == {"slab": pytest.approx(300), "the rest": pytest.approx(4900)}
+    message = region_areas(part, scene_with(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm"))
+    assert message == {"slab": pytest.approx(300), "the rest": pytest.approx(4900)}
     assert [region.name for region in with_rest(scene_with(box, [{"name": "s", "kind": "plane"}], "mm").region)] == [
         "s", "the rest",
     ]  # fmt: skip
@@ -166,7 +162,7 @@ def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("regions", "said"),
+    ("regions", "output"),
     [
         ([{"name": "a", "faces": [1]}], "is a mesh, which has none"),
         ([{"name": "a", "box_mm": [90, 90, 90, 99, 99, 99]}], "no surface of the part matches"),
@@ -178,14 +174,14 @@ def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
     ],
     ids=["faces of a mesh", "empty", "taken", "no paint"],
 )
-def test_a_property_that_the_part_does_not_have_is_refused(box: Path, regions: list[dict], said: str) -> None:
+def test_a_property_that_the_part_does_not_have_is_refused(box: Path, regions: list[dict], output: str) -> None:
     """The message has the name of the region and a remedy."""
-    with pytest.raises(CellError, match=said):
+    with pytest.raises(CellError, match=output):
         tagged(box, regions, "mm")
 
 
 @pytest.mark.parametrize(
-    ("regions", "plan", "said"),
+    ("regions", "plan", "output"),
     [
         ([{"name": "a", "care": "no"}], {}, "measures nothing"),
         ([{"name": "a"}, {"name": "b", "faces": [1]}], {}, "put it last"),
@@ -206,13 +202,15 @@ def test_a_property_that_the_part_does_not_have_is_refused(box: Path, regions: l
         ([{"name": " ", "faces": [1]}], {}, "one line without"),
     ],
 )
-def test_a_scene_that_contradicts_itself_is_refused(tmp_path: Path, regions: list[dict], plan: dict, said: str) -> None:
+def test_a_scene_that_contradicts_itself_is_refused(
+    tmp_path: Path, regions: list[dict], plan: dict, output: str
+) -> None:
     """Each contradiction gives one line with the key."""
     lines = ["[plan]", *(f"{key} = {value!r}" for key, value in plan.items())]
     for region in regions:
         lines += ["[[region]]", *(f"{key} = {json.dumps(value)}" for key, value in region.items())]
     (tmp_path / "scene.toml").write_text("\n".join(lines))
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=output):
         load_scene(tmp_path / "scene.toml")
 
 
@@ -246,21 +244,21 @@ def test_an_unattainable_spacing_has_remedies(box: Path) -> None:
     given = {"range_mm": (150.0, 450.0), "baseline_mm": 75.0}
     with pytest.raises(
         SceneError, match=r"'seat' requires points at most 0.3 mm apart.*150 mm.*generic-area-medium"
-    ) as said:
+    ) as output:
         require_attainable(scene, LaserArea(**given))
-    resolution = float(str(said.value).partition("resolution_deg = [")[2].partition(",")[0])
+    resolution = float(str(output.value).partition("resolution_deg = [")[2].partition(",")[0])
     require_attainable(scene, LaserArea(**given, resolution_deg=(resolution, resolution)))
     require_attainable(scene, LaserArea(range_mm=(50.0, 150.0), baseline_mm=25.0))
 
 
 def test_regions_become_demands_weights_and_targets(box: Path) -> None:
     """Regions with a coverage have separate targets, and the others share the plan's. Samples follow their region."""
-    asked = [
+    requests = [
         {"name": "a", "box_mm": [-50, -50, 2, 50, 50, 5], "coverage": 0.9},
         {"name": "b", "box_mm": [-50, -50, 8, 50, 50, 9], "views": 3},
         {"name": "c", "weight": 2.0},
     ]
-    scene = scene_with(box, asked, "mm")
+    scene = scene_with(box, requests, "mm")
     goals = RegionGroups.of(scene.region, scene.plan)
     assert goals.coverage.tolist() == [0.99, 0.9]
     assert goals.group.tolist() == [1, 0, 0]

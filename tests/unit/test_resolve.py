@@ -48,12 +48,6 @@ def test_a_standoff_is_the_middle_of_the_range() -> None:
     assert settle(own(scanner={"range_mm": [100, 450]}), ball(400)).settings.standoffs == (0.275,)
 
 
-def test_a_standoff_outside_the_range_is_refused() -> None:
-    """The message names the standoff and the range."""
-    with pytest.raises(SceneError, match=r"600 mm is outside the scanner's range of 100 to 400 mm"):
-        settle(own(scanner={"range_mm": [100, 400]}, plan={"standoffs_mm": [200, 600]}), ball(50))
-
-
 def test_equal_rolls_and_standoffs_count_once() -> None:
     """Rolls of 0 and 360 degrees and repeated standoffs give one viewpoint."""
     settings = settle(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(60)).settings

@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError
-from cell.robot import model as robot
 from cell.scan.execution import ExecutionPlan, Segment
 from cell.scan.resume import RemainingMotion, plan_resume
 from drivers.contract import Mode, RobotState
-from drivers.limits import Limits
 from drivers.setpoints import from_rad, to_rad
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
 
 HOME = to_rad(from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])))
 LIMITS = JointLimits(to_rad(KR16.lower), to_rad(KR16.upper), KR16.velocity, KR16.acceleration, KR16.jerk)

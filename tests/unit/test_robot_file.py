@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -33,6 +31,7 @@ from cell.world.travel import TravelBound
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.path.certified_edge import subdivide
+from tests.support.fixture_types import RunCommand
 
 # Origin in the parent [m] and axis of each joint, and the middle and sides of the box that is its link.
 CHAIN = (
@@ -168,10 +167,10 @@ def test_links_that_are_always_near_are_proven_separate(tmp_path: Path) -> None:
     path = forked(tmp_path, 0.035)
     model = robot_spec.load_robot(path).compile()
     assert "apart_link_4_link_6" in {model.exclude(i).name for i in range(model.nexclude)}
-    ((pair, told),) = report(path)[0].apart.items()
+    ((pair, message),) = report(path)[0].apart.items()
     nearest = 0.03 - 0.02 * np.sqrt(2)
     assert pair == "link_4 with link_6"
-    assert 0.5 * nearest <= told / 1000 <= 0.002
+    assert 0.5 * nearest <= message / 1000 <= 0.002
     own, bodies = LinkPairs(model), [model.body(name).id for name in ("link_4", "link_6")]
     assert not prove_separation(model, own.shapes, *bodies, 1.05 * nearest)
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
@@ -225,10 +224,7 @@ def test_the_motion_bound_of_the_proof_holds(tmp_path: Path, levers: str) -> Non
 
 
 def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(tmp_path: Path) -> None:
-    """Two links that are always nearer than 20 mm and can touch are checked with half of their largest distance.
-
-    This clearance also holds between two checked configurations. Replay marks a pair below this clearance only.
-    """
+    """Two links that are always nearer than 20 mm and can touch are checked with half of their largest distance."""
     world = compile_world(Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.032))}}), CUBE)
     pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
     keep = world.clearance - world.clearance_reduction[pair]
@@ -413,11 +409,11 @@ def millimetres(text: str) -> str:
 def test_a_mistake_has_a_clear_message(tmp_path: Path, text: str, words: str) -> None:
     """The message names the file, the error and the remedy in one line."""
     path = written(tmp_path, text)
-    with pytest.raises(CellError) as told:
+    with pytest.raises(CellError) as message:
         robot_spec.load_robot(path)
-    assert words in str(told.value)
-    assert str(path) in str(told.value)
-    assert "\n" not in str(told.value)
+    assert words in str(message.value)
+    assert str(path) in str(message.value)
+    assert "\n" not in str(message.value)
 
 
 CAPSULES = """<mujoco model="small"><worldbody><body name="foot"><geom type="box" size="0.1 0.1 0.2"/>
@@ -444,19 +440,19 @@ def test_warnings_about_a_file(
     path = tmp_path / "arm.xml"
     text = CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"')
     path.write_text(text.replace("<worldbody>", '<compiler settotalmass="9"/><worldbody>'), encoding="utf-8")
-    told, _ = report(path)
-    assert told.limits_deg[3] == (-360.0, 360.0)
+    message, _ = report(path)
+    assert message.limits_deg[3] == (-360.0, 360.0)
     robot_settings = {"model": str(path), "velocity_deg_s": (90.0,) * 6}
     world = compile_world(Scene.model_validate({"robot": robot_settings}), CUBE)
-    assert told.missing[:2] == tuple(find_warnings(world))
-    assert "arm.xml: MuJoCo warns that compiler attribute 'settotalmass' is deprecated" in told.missing[0]
-    assert "arm.xml gives no range of q4, q6: -360 to 360 deg is assumed" in told.missing[1]
-    assert all("\n" not in sentence for sentence in told.missing)
-    with capture_mujoco_warnings() as said:
+    assert message.missing[:2] == tuple(find_warnings(world))
+    assert "arm.xml: MuJoCo warns that compiler attribute 'settotalmass' is deprecated" in message.missing[0]
+    assert "arm.xml gives no range of q4, q6: -360 to 360 deg is assumed" in message.missing[1]
+    assert all("\n" not in sentence for sentence in message.missing)
+    with capture_mujoco_warnings() as output:
         mujoco.mj_forward(of := mujoco.MjModel.from_xml_string(FALLS), data := mujoco.MjData(of))
         data.qpos[2] = np.nan
         mujoco.mj_step(of, data)
-    assert "Nan" in said[0]
+    assert "Nan" in output[0]
     assert capfd.readouterr() == ("", "")
     assert {each.name for each in tmp_path.iterdir()} == {"arm.xml", "cache"}
     path.write_text(CAPSULES, encoding="utf-8")
@@ -496,9 +492,7 @@ def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
     assert (np.linalg.norm(middles, axis=1) >= 0.03 - 1e-7).all()
 
 
-def test_an_arm_from_a_file_is_planned_verified_and_driven(
-    tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
+def test_an_arm_from_a_file_is_planned_verified_and_driven(tmp_path: Path, run_cell: RunCommand) -> None:
     """The arm of a file is planned, scanned and explored. The plan keeps its robot, and a changed file is detected."""
     written(tmp_path, urdf(LEVER))
     trimesh.creation.box((50, 50, 40)).export(tmp_path / "block.stl")
@@ -507,22 +501,18 @@ def test_an_arm_from_a_file_is_planned_verified_and_driven(
         [placement]
         position_mm = [600, 150, 450]"""
     (tmp_path / "cell.toml").write_text(scene, encoding="utf-8")
-    told = json.loads(run_cell("robot", "arm.urdf", "--json", cwd=tmp_path).stdout)
-    assert told["family"] == "spherical wrist"
-    assert told["residual_mm"] < 1e-6
-    assert told["followers"] == ["drive by A3 x -0.5"]
-    wishes = ("--faces", "40", "--samples", "1", "--candidates", "optimal-scanning-zone", "--coverage", "0.9")
-    done = run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *wishes, "--out=run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    message = json.loads(run_cell("robot", "arm.urdf", "--json", cwd=tmp_path).stdout)
+    assert message["family"] == "spherical wrist"
+    assert message["residual_mm"] < 1e-6
+    assert message["followers"] == ["drive by A3 x -0.5"]
+    options = ("--faces", "40", "--samples", "1", "--candidates", "optimal-scanning-zone", "--coverage", "0.9")
+    run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *options, "--out=run", cwd=tmp_path, code=0)
     assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
-    done = run_cell("scan", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "run", cwd=tmp_path, code=0)
     done = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
     assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in done.stderr, done.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
-    done = run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *wishes[:-2], *few, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *options[:-2], *few, cwd=tmp_path, code=0)
     written(tmp_path, urdf())
-    done = run_cell("scan", "run", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("scan", "run", cwd=tmp_path, code=2)
     assert "the robot's file" in done.stderr

@@ -83,11 +83,8 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
     return open_run(folder.finish(0)), world
 
 
-def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> None:
-    """The occluders equal those of the plan bit for bit, and a mesh to rounding.
-
-    Transparent fixtures are not among them.
-    """
+def test_the_occluders_are_those_of_the_plan(written: tuple[Run, World]) -> None:
+    """The occluders equal those of the plan bit for bit, and a mesh to rounding."""
     run, world = written
     planned, found = fixed_occluders(world), read_cell(run).occluders
     assert [piece.name for piece in found] == [piece.name for piece in planned]
@@ -154,23 +151,23 @@ def _as_earlier(run: Run, to: Path, collision: str) -> Run:
 
 
 @pytest.mark.parametrize(
-    ("collision", "triangles", "said"),
+    ("collision", "triangles", "output"),
     [
         ("decomposed", {"part", "horn"}, "the part as convex pieces and the fixture 'horn' as its convex hull; their"),
         ("exact", {"part", "horn"}, "checked with the fixture 'horn' as its convex hull; their triangles"),
         ("hull", set(), None),
     ],
 )
-def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said(
-    written: tuple[Run, World], tmp_path: Path, collision: str, triangles: set[str], said: str | None
+def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_a_note(
+    written: tuple[Run, World], tmp_path: Path, collision: str, triangles: set[str], output: str | None
 ) -> None:
     """Convex pieces and hulls of an earlier run become triangles, with a note. Replay checks as the run did."""
     earlier = _as_earlier(written[0], tmp_path / "run", collision)
     part, scene = earlier.mesh("reference.ply"), earlier.scene
     again = world_of(earlier, part)
     assert {again.entities[geom] for geom in again.shapes.meshes} == triangles
-    assert (said is None) == (collision_note(scene) == [])
-    assert all(said in sentence for sentence in collision_note(scene) if said)
+    assert (output is None) == (collision_note(scene) == [])
+    assert all(output in sentence for sentence in collision_note(scene) if output)
     replay_model = build_replay_model(earlier, scene, part)
     assert {replay_model.geom_names[geom] for geom in replay_model.shapes.meshes} == (
         {"part"} if collision == "exact" else set()

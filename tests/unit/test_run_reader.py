@@ -50,7 +50,7 @@ def test_the_reference_is_the_part_that_was_given(planned: Path, blob: Blob) -> 
     assert read.volume == pytest.approx(part.volume / 1e9, rel=1e-6)
 
 
-def test_wrong_folders_are_told_apart(tmp_path: Path, copy: Path) -> None:
+def test_invalid_folders_have_different_messages(tmp_path: Path, copy: Path) -> None:
     """A missing, foreign or damaged folder, a file and another schema have one message each, with exit code 6."""
     foreign, empty = tmp_path / "foreign", tmp_path / "empty"
     empty.mkdir()
@@ -111,7 +111,7 @@ def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None
             read()
 
 
-def test_what_a_failed_run_lacks_is_told_with_its_stage(copy: Path) -> None:
+def test_a_missing_file_of_a_failed_run_is_reported_with_the_stage(copy: Path) -> None:
     """The message for a missing file names the stage and the reason of the failure."""
     (copy / "motion.npz").unlink()
     with pytest.raises(FileError, match="although the run finished"):
@@ -121,7 +121,7 @@ def test_what_a_failed_run_lacks_is_told_with_its_stage(copy: Path) -> None:
         open_run(copy).motion  # noqa: B018
 
 
-def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
+def test_complete_scans_of_an_execution_are_read(copy: Path) -> None:
     """Cut scans, scans with NaN and scans without angles are reported; the others are returned in order."""
     run = open_run(copy)
     with pytest.raises(FileError, match="has no execution yet"):

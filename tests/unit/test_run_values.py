@@ -62,9 +62,7 @@ def test_files_of_earlier_versions_are_read(planned: Path) -> None:
     ],
     ids=lambda value: str(value)[:24],
 )
-def test_a_damaged_value_is_told_in_one_sentence(
-    path: tuple[str | int, ...], value: Any, sentence: str, planned: Path
-) -> None:
+def test_a_damaged_value_has_one_message(path: tuple[str | int, ...], value: Any, sentence: str, planned: Path) -> None:
     """The message has the key, its value and the valid values."""
     content = content_of(planned, "plan.json")
     table = content
@@ -78,7 +76,7 @@ def test_a_damaged_value_is_told_in_one_sentence(
         read(PlanFile, content)
 
 
-def test_what_is_no_json_object_is_told() -> None:
+def test_a_file_without_a_json_object_is_refused() -> None:
     """A list and a cut file have one message each."""
     with pytest.raises(FileError, match=r"it must hold one JSON object"):
         read(Report, [1])

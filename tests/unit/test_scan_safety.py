@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, UsageError
-from cell.robot import model as robot
 from cell.scan import safety
 from cell.scan.options import ScanOptions
 from cell.scan.safety import ApprovedMotion
 from cell.scene.options import flag, parse_options
 from drivers.contract import Capabilities, Mode, RobotState
-from drivers.limits import Limits
 from drivers.setpoints import from_rad
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
 
 _PLAN = ApprovedMotion("the plan", "0123456789abcdef" * 4)
 _PATH = ApprovedMotion("the new path", "fedcba9876543210" * 4, is_own_path=True)
@@ -51,7 +48,7 @@ class _Controller:
         return self.state()
 
 
-def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
+def test_hardware_moves_at_ten_percent_by_default() -> None:
     """Hardware moves at no more than 10 % by default. --speed is a fraction of the plan's speed."""
     assert safety.speed_fraction(None, 1.0, hardware=True) == 0.1
     assert safety.speed_fraction(None, 0.05, hardware=True) == 0.05
@@ -73,7 +70,7 @@ def test_steel_does_not_move_without_somebody_s_word() -> None:
     for answer in ("", "y", "no", "yes please"):
         with pytest.raises(UsageError, match="nothing was moved"):
             safety.require_confirmation(
-                _Controller(), 0.1, _PLAN, given=None, confirm=lambda question, said=answer: said
+                _Controller(), 0.1, _PLAN, given=None, confirm=lambda question, output=answer: output
             )
 
 

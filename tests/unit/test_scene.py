@@ -60,11 +60,6 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
                 assert TypeAdapter(field.annotation).validate_python(stated) == field.default, f"{name}.{key}"
 
 
-def test_an_empty_file_is_the_built_in_scene(tmp_path: Path) -> None:
-    """Missing keys have their defaults."""
-    assert _load(tmp_path, "") == Scene()
-
-
 def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     """A file with a dozen mistakes gives a dozen lines, each with its key and the valid values."""
     problems = _problems(
@@ -127,24 +122,6 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "start", "hint"),
-    [
-        ("[placment]\nposition_mm = [1, 2, 3]", "placment is an unknown key", "'placement'"),
-        ("[plan]\nsolver = 'greedi'", "plan.solver is 'greedi'", "'greedy'"),
-        ("[[fixtures]]\nshape='bx'\nname='a'", "fixtures[0].shape is 'bx'", "'box'"),
-        ("[part]\nname = 'mug2'", "part.name is 'mug2'", "'mug'"),
-        ("[part]\npath = 'scene.toml'\nunits = 'MM'", "part.units is 'MM'", "'mm'"),
-        ("[[fixtures]]\nshape='box'\nname='a'\nsize_mm=[1,1,1]\nocludes=true", "fixtures[0].ocludes", "'occludes'"),
-    ],
-)
-def test_a_misspelt_word_gets_a_hint(tmp_path: Path, text: str, start: str, hint: str) -> None:
-    """Unknown keys and values name the nearest valid one."""
-    (problem,) = _problems(tmp_path, text)
-    assert problem.startswith(start)
-    assert f"did you mean {hint}?" in problem
-
-
-@pytest.mark.parametrize(
     ("text", "start"),
     [
         ("robot = 3", "robot is 3; it must be a table"),
@@ -174,8 +151,7 @@ def test_fixtures_need_distinct_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
-    [(b"a = = 2\n", "line 1"), (b"\xff\xfe", "UTF-8"), (None, "No such file")],
+    ("content", "words"), [(b"a = = 2\n", "line 1"), (b"\xff\xfe", "UTF-8"), (None, "No such file")]
 )
 def test_a_file_that_is_no_toml_has_one_message(tmp_path: Path, content: bytes | None, words: str) -> None:
     """Syntax errors name the line; encodings and missing files are named."""

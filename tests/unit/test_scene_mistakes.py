@@ -154,15 +154,15 @@ def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
 def test_a_problem_is_found_and_its_remedy_removes_it(name: str, world: Callable[..., World]) -> None:
     """The message names both objects, and after the proposed change the problem is gone."""
     mesh, tables, words = ERRORS[name]
-    said = [each for each in find_problems(world(mesh, tables)) if all(word in each for word in words)]
-    assert len(said) == 1, find_problems(world(mesh, tables))
-    cured = followed(tables, said[0])
+    output = [each for each in find_problems(world(mesh, tables)) if all(word in each for word in words)]
+    assert len(output) == 1, find_problems(world(mesh, tables))
+    cured = followed(tables, output[0])
     if name == "scanner that looks back":
         assert cured is None
         return
     assert cured is not None
     left = find_problems(world(mesh, cured))
-    assert not [each for each in left if each.split("; ")[0].split(",")[0] == said[0].split("; ")[0].split(",")[0]], (
+    assert not [each for each in left if each.split("; ")[0].split(",")[0] == output[0].split("; ")[0].split(",")[0]], (
         left
     )
 
@@ -173,9 +173,9 @@ def test_a_warning_is_found_and_its_remedy_removes_it(name: str, world: Callable
     mesh, tables, words = WARNINGS[name]
     cell = world(mesh, tables)
     assert not find_problems(cell)
-    said = [each for each in find_warnings(cell) if all(word in each for word in words)]
-    assert len(said) == 1, find_warnings(cell)
-    cured = followed(tables, said[0])
+    output = [each for each in find_warnings(cell) if all(word in each for word in words)]
+    assert len(output) == 1, find_warnings(cell)
+    cured = followed(tables, output[0])
     if name in ("a fixture in inches", "an angle that tips"):
         return  # no move helps
     assert cured is not None

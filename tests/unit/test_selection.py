@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from cell.plan.selection import (
-    RegionGroups,
-    Request,
-    Search,
-    Selection,
-    SelectionProblem,
-    select_views,
-)
+from cell.plan.selection import RegionGroups, Request, Search, Selection, SelectionProblem, select_views
 from cell.scene.model import PlanSettings, RegionTargets
 from planner.cover import Cover, CoverProblem, solve
 from planner.geometry.sampling import SurfaceSamples

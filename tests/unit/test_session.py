@@ -62,7 +62,7 @@ class _Folder:
 def test_a_stage_is_reported_and_recorded() -> None:
     """The reporter receives the stage with its progress, and the folder records its name."""
     heard: list[tuple[str, int, int]] = []
-    session = Session(None, LoggedProgress(lambda *told: heard.append(told)))
+    session = Session(None, LoggedProgress(lambda *message: heard.append(message)))
     with session.stage("reach") as progress:
         progress(1, 2)
     folder = _Folder()

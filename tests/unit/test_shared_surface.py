@@ -34,7 +34,7 @@ def _ball() -> SurfaceSamples:
 
 
 @pytest.mark.parametrize(("sides", "free"), [((4,), 3), ((2, 4), 1), ((0, 2, 4), 0), ((0, 1, 2, 3), 1), ((), 6)])
-def test_sides_of_a_box_leave_free_what_slides_along_them(sides: tuple[int, ...], free: int) -> None:
+def test_sides_of_a_box_leave_motions_along_them_free(sides: tuple[int, ...], free: int) -> None:
     """One plane leaves three motions, two leave one, three none, four parallel to an axis one, and no side six."""
     samples, side = _box()
     seen = side[:, list(sides)].any(axis=1)
@@ -52,11 +52,7 @@ def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
 def test_set_ups_are_apart_where_their_common_side_slides() -> None:
     """Set-ups whose shared sides leave a free motion are unconnected."""
     samples, side = _box()
-    seen = {
-        1: side[:, [0, 2, 4]].any(axis=1),
-        2: side[:, [0, 1, 2, 4]].any(axis=1),
-        3: side[:, [1, 3, 5]].any(axis=1),
-    }
+    seen = {1: side[:, [0, 2, 4]].any(axis=1), 2: side[:, [0, 1, 2, 4]].any(axis=1), 3: side[:, [1, 3, 5]].any(axis=1)}
     pairs = shared_surfaces(seen, samples)
     assert [pair.setups for pair in pairs] == [(1, 2), (1, 3), (2, 3)]
     assert [bool(pair.free_motions) for pair in pairs] == [False, True, True]

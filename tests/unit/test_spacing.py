@@ -47,19 +47,6 @@ def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> No
         assert spacing == pytest.approx(max(gaps), rel=1e-4)
 
 
-def test_the_ray_grid_has_the_computed_spacing() -> None:
-    """The spacing equals that of neighbouring points of `ray_directions` on a tilted wall."""
-    scanner = LaserArea(fov_deg=(40, 40), resolution_deg=(0.25, 0.25), range_mm=(1, 2000))
-    normal = np.array([0.5, 0.2, -1.0]) / np.linalg.norm([0.5, 0.2, -1.0])
-    rays = scanner.ray_directions().reshape(*scanner.grid_shape, 3)
-    points = rays * (np.array([0, 0, 0.3]) @ normal / (rays @ normal))[..., None]
-    across = np.linalg.norm(np.diff(points, axis=1), axis=2)[:-1]
-    down = np.linalg.norm(np.diff(points, axis=0), axis=2)[:, :-1]
-    middle = (points[:-1, :-1] + points[1:, 1:]).reshape(-1, 3) / 2
-    spacing = scanner.spacing(middle, np.tile(normal, (len(middle), 1)))
-    np.testing.assert_allclose(spacing, np.maximum(across, down).ravel(), rtol=0.02)
-
-
 @pytest.mark.parametrize("sweep", [{"sweep_mm": 120.0}, {"sweep_deg": 30.0}])
 def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(sweep: dict[str, float]) -> None:
     """The spacing equals that of a neighbouring ray of the sheet, and of the next line at full speed, on planes."""

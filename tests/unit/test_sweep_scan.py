@@ -1,42 +1,28 @@
 """Execution of sweeps: a segment for each pose, lines between the poses, and one complete scan for each view."""
 
-from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from cell.robot.arm import kr16_kinematics
-from cell.robot.model import load
 from cell.runs.cell import RunCell
-from cell.runs.folder import SCHEMA
-from cell.runs.run import Run, read_scan
-from cell.runs.schema import Manifest, ScannerKeys
+from cell.runs.run import read_scan
 from cell.scan import execution
 from cell.scan.execution import plan_execution
-from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.simulated import Disturbance, Simulated, line_poses, lines_per_step
 from cell.scanners.laser_line import LaserLine
-from cell.world.embree import EmbreeRayCaster
-from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
-from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
-from drivers.limits import Limits
-from drivers.setpoints import from_rad
-from planner.geometry.mesh import TriangleMesh
 from planner.path.sweeps import SweepPath, TimedSweep, find_sweeps
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import HOME
+from tests.support.runs import RecordingDriver, ball_cell, new_execution
 
 KINEMATICS = kr16_kinematics()
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 SCANNER = LaserLine(sweep_mm=80.0, sweep_steps=4, line_points=50)
 
 
@@ -50,18 +36,7 @@ def path() -> SweepPath:
 @pytest.fixture(scope="module")
 def scene() -> RunCell:
     """Return a ball of 60 mm in the middle of the scanner's range below home."""
-    import trimesh
-
-    T_base_object = np.eye(4)
-    T_base_object[:3, 3] = (KINEMATICS.forward(HOME[None])[0] @ np.array([0, 0, 0.3, 1]))[:3]
-    ball = trimesh.creation.icosphere(3, 0.06)
-    mesh = TriangleMesh(ball.vertices, ball.faces)
-    away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
-    return RunCell(
-        SimpleNamespace(T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10.0),
-        mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
-        SCANNER, ScannerKeys(**SCANNER.parameters()), KINEMATICS, TravelBound(load()),
-    )  # fmt: skip
+    return ball_cell(SCANNER)
 
 
 def _motion(path: SweepPath) -> Motion:
@@ -73,34 +48,6 @@ def _motion(path: SweepPath) -> Motion:
     view = np.where(pose >= 0, 70 + leg, -1)
     lines = {k: TimedSweep(p, np.eye(4), KINEMATICS) for k, p in ((1, path), (1 + len(path.q), back))}
     return retime(via, leg, view, KINEMATICS.limits, pose=pose, lines=lines)
-
-
-class _Driver:
-    """A driver that is at its goal at once, and fails at a given move."""
-
-    def __init__(self, fails_at: int = -1) -> None:
-        self.axes, self.moves, self.fails_at = from_rad(HOME), 0, fails_at
-        limits = KR16
-        self.capabilities = Capabilities(
-            "recorder", limits.lower, limits.upper, limits.max_step, 1.0, None, False, True
-        )  # fmt: skip
-
-    def state(self) -> RobotState:
-        return RobotState(Mode.IDLE, self.axes, True)
-
-    require_ready = state
-
-    def move(self, set_points: np.ndarray, speed: float) -> RobotState:
-        if self.moves == self.fails_at:
-            raise FaultError("the arm does not follow its set-points", 4002)
-        self.moves += 1
-        self.axes = set_points[-1]
-        return RobotState(Mode.IN_POSITION, self.axes, True)
-
-
-def _folder(tmp_path: Path) -> ExecutionFolder:
-    run = Run(tmp_path, Manifest(schema=SCHEMA))
-    return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
 
 
 def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> None:
@@ -136,9 +83,9 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
     path: SweepPath, scene: RunCell, tmp_path: Path
 ) -> None:
     """Both directions give the same poses in the order of the column, and the same points on the ball."""
-    folder = _folder(tmp_path)
+    folder = new_execution(tmp_path)
     execution.drive(
-        plan_execution(_motion(path)), _Driver(), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
+        plan_execution(_motion(path)), RecordingDriver(), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
         clock=SimulatedClock(),
     )  # fmt: skip
     first, second = (read_scan(folder.path / "scans" / f"{stop:04d}.npz") for stop in (1, 2))
@@ -155,11 +102,16 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
 
 def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell, tmp_path: Path) -> None:
     """If the driver fails at the third pose of the second view, only the scan of the first view is saved."""
-    folder = _folder(tmp_path)
+    folder = new_execution(tmp_path)
+
+    def fail(move: int) -> None:
+        if move == 6:
+            raise FaultError("the arm does not follow its set-points", 4002)
+
     with pytest.raises(FaultError):
         execution.drive(
-            plan_execution(_motion(path)), _Driver(6), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
-            clock=SimulatedClock(),
+            plan_execution(_motion(path)), RecordingDriver(before=fail), scene, Simulated(scene, Disturbance(), 5),
+            folder, speed=1.0, clock=SimulatedClock(),
         )  # fmt: skip
     assert [file.name for file in (folder.path / "scans").iterdir()] == ["0001.npz"]
 

@@ -21,10 +21,7 @@ def injector(text: str, seed: int = 0) -> Injector:
 
 
 def test_a_list_of_faults_is_parsed() -> None:
-    """Probabilities, durations, defaults and times are parsed, and scheduled faults are sorted.
-
-    An empty list has no fault.
-    """
+    """Probabilities, durations, defaults and times are parsed, and scheduled faults are sorted."""
     faults = parse_faults("drop=0.01, delay=0.02:0.3,half-open=1,estop@12.5,reboot@3:1.5")
     assert faults.random == {
         "drop": RandomFault(0.01, 0.0),

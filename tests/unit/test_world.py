@@ -188,14 +188,6 @@ def test_cell_xml_opens_at_home_with_a_light(world: World, tmp_path: Path) -> No
     assert model.nlight == 1
 
 
-def test_cell_xml_has_the_same_bytes_twice(world: World, tmp_path: Path) -> None:
-    """Equal inputs give equal files."""
-    write_mjcf(world, tmp_path)
-    first = (tmp_path / "cell.xml").read_bytes()
-    write_mjcf(world, tmp_path)
-    assert (tmp_path / "cell.xml").read_bytes() == first
-
-
 def test_occluders_are_all_stationary_opaque_objects(world: World) -> None:
     """Post, pedestal, floor and occluding fixtures are closed, outward, and attached as in the scene."""
     T = world.T_base_object
