@@ -41,8 +41,6 @@ from cell.plan.selection import (
     Request,
     Selection,
     SelectionProblem,
-    continue_selection,
-    generate_rows,
     pose_error,
     pose_probabilities,
     select_least_time,
@@ -316,19 +314,15 @@ def select_and_connect(
     with session.stage("select the views"):
         rng, before = session.rng(Stream.SELECTION), problem
         fresh = session.rng(Stream.FRESH_SAMPLES)
-        reason = "" if append is None else skip_reason(problem)
-        is_searched = append is not None and not reason
-        find = generate_rows if is_searched else select_with_row_generation
-        choice = initial = find(problem.unpriced(), surface, rng, fresh)
-    searched, search = f"Poses are not searched: {reason}" if reason else "", None
-    if append is not None and is_searched:
+        choice = initial = select_with_row_generation(problem.unpriced(), surface, rng, fresh)
+    searched, search = "", None
+    if append is not None and (reason := skip_reason(problem)):
+        searched = f"Poses are not searched: {reason}"
+    elif append is not None:
         with session.stage("search fewer views") as progress:
             draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
             moved_problem, moved, search = search_views(*initial, surface, append, draws, others, rng, progress)
             choice = moved_problem, moved
-        if moved is initial[1]:  # of a short search
-            with session.stage("continue the selection"):
-                choice = initial = initial[0], continue_selection(*initial, rng)
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:
             choice = initial = select_least_time(*choice, rng)
@@ -340,7 +334,6 @@ def select_and_connect(
         problem, plan = choice[0], connect(*choice)
         # A moved view that cannot be connected may be replaced by worse ones than the initial views.
         if choice[1] is not initial[1] and plan.selection is not choice[1]:
-            initial = initial[0], continue_selection(*initial, rng)
             try:
                 unmoved = connect(*initial)
             except UnreachableError:  # only the moved views can be connected

@@ -495,8 +495,6 @@ def select_with_row_generation(
 ) -> tuple[SelectionProblem, Selection]:
     """Select views, and add rows until the views hold the requested coverage on held-out samples.
 
-    The same as `generate_rows`, with a full search at its end.
-
     Args:
         problem: candidates and request.
         surface: the part.
@@ -508,37 +506,12 @@ def select_with_row_generation(
     """
     if not (problem.request.is_evaluated and problem.request.plan.fill == "aimed"):
         return problem, select_views(problem, rng)
-    problem, selection = generate_rows(problem, surface, rng, fresh, _continued)
-    return problem, select_views(problem, rng, start=selection)
-
-
-def continue_selection(problem: SelectionProblem, probe: Selection, rng: np.random.Generator) -> Selection:
-    """Return the selection of a full search that continues from a probe."""
-    return select_views(problem, rng, start=_continued(problem, probe, rng))
-
-
-def generate_rows(
-    problem: SelectionProblem, surface: PartSurface, rng: np.random.Generator, fresh: np.random.Generator,
-    improved: Callable[[SelectionProblem, Selection, np.random.Generator], Selection] | None = None,
-) -> tuple[SelectionProblem, Selection]:  # fmt: skip
-    """Add rows until the views of a short search almost hold the requested coverage on held-out samples.
-
-    Args:
-        problem: candidates and request, which is evaluated on held-out samples.
-        surface: the part.
-        rng: randomness of the selection.
-        fresh: draws the samples.
-        improved: called for views that almost hold the coverage; rows are added if they do so no longer.
-
-    Returns:
-        The problem with its rows, and the views.
-    """
     requested, spread = problem.request.targets, problem.prediction.samples
     selection = None
     for left in reversed(range(ROUNDS + 1)):
         selection = select_views(problem, rng, start=selection, search=Search.PROBE)
         if selection.almost_satisfies(requested):
-            selection = selection if improved is None else improved(problem, selection, rng)
+            selection = _continued(problem, selection, rng)
             if selection.almost_satisfies(requested):
                 break
         if not left:  # a selection that is raised and bounded afterwards must be of the same rows
@@ -549,8 +522,7 @@ def generate_rows(
             break
         rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, added))
         problem = replace(problem, M=append_rows(problem.M, rows, spread))
-    assert selection is not None, "at least one round"
-    return problem, selection
+    return problem, select_views(problem, rng, start=selection)
 
 
 def _continued(problem: SelectionProblem, probe: Selection, rng: np.random.Generator) -> Selection:

@@ -22,12 +22,12 @@ from scipy.sparse import csr_array
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Value
 
-EFFORTS = {"low": 20_000, "normal": 60_000, "high": 600_000}
+EFFORTS = {"low": 20_000, "normal": 80_000, "high": 800_000}
 """Poses that a search evaluates."""
 
 _PROPOSALS = 24  # of a view in a round
 _TESTED = 4  # best proposals of a view that are tested for reachability
-_LAST_PART = 0.1  # of the effort, for a larger area
+_LAST_PART = 0.2  # of the effort, for a larger area
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
 _VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
