@@ -135,7 +135,7 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     first = (points / "0001.xyz").rename(beside / "kept.xyz")
     files = ("--acquire", "files:points", "--points-frame", "scanner", "--points-units", "mm")
     done = run_cell("scan", "made", *files, cwd=beside, code=6)
-    assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest takes them" in done.stderr
+    assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest scans them" in done.stderr
     assert not (folder / "setups" / "2" / "executions").exists()
     first.rename(points / "0001.xyz")
     done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside, code=0)
