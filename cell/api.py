@@ -469,7 +469,7 @@ def place(
     where, rest = _split(keywords, PlaceKeywords, option_specs(PlaceRange))
     run, scene, given = _study_options(rest)
     checked, folder = scene_maker(part, scene, given)({}), study_folder("place", run.out)
-    with open_workers(run.count, run.cluster) as workers:
+    with open_workers(run.count, run.cluster, run.cluster_security) as workers:
         words, quiet = plan_command(part, scene, given), lambda *_: None
         return place_study(checked, parse_options(PlaceRange, where), workers, folder, progress or quiet, words)
 
@@ -552,7 +552,7 @@ def _study(
 
     run, scene, given = _study_options(*_split(keywords, StudyKeywords))
     study, words = make(scene_maker(part, scene, given)), plan_command(part, scene, given)
-    with open_workers(run.count, run.cluster) as workers:
+    with open_workers(run.count, run.cluster, run.cluster_security) as workers:
         return run_study(study, workers, out=run.out, reporter=_reporter(progress), plan=words)
 
 

@@ -7,13 +7,16 @@ A wire implements `Link`, a few small methods; `ControllerClient` turns it into 
   the end. A client that loses it (another client stopped the arm, or took it over from a silent owner) sends nothing
   more.
 - **Checks of the status** (`drivers.status`): before each move and scan and while waiting, a fault, a contradiction or
-  a frozen heartbeat ends the work. Every wait has a limit. An arrival sooner than possible is an error.
+  a frozen heartbeat ends the work. A reported fault ends it until a reset, even if it is no longer reported. Every
+  wait has a limit. An arrival sooner than possible is an error.
+- **The path** (`drivers.path_watch`): an arm that leaves its path or an axis that leaves its limits is stopped.
 - **Lost answers** to a move are resolved, never guessed: the state holds the last answered number. If it is the move's,
   the move was accepted (or refused; the state says which). If it is the previous one, the client sends the same number
   once more, which executes at most once. If the state is unreadable or says neither, the client raises
   `StateUnknownError`. Until a stop is confirmed and the arm is at rest, only `state()` and `stop()` are allowed.
 - **A restarted controller or another client** is detected before the next command by the boot number, the owner or the
   last number; again only `state()` and `stop()` are allowed until a stop is confirmed.
+- **A lost session**: if the owner changes during a move, the arm is stopped before the client ends.
 - **Ctrl-C**, or any other exception while waiting, sends a stop and waits one second for its answer.
 """
 
@@ -31,6 +34,7 @@ from drivers.contract import (
     Answer,
     Capabilities,
     Command,
+    Mode,
     Move,
     Reset,
     Result,
@@ -43,16 +47,19 @@ from drivers.errors import (
     ArrivalError,
     ContradictionError,
     DriverError,
+    FaultError,
     LinkError,
     LinkLostError,
     NotConnectedError,
     NotOwnerError,
     OverdueError,
+    PathError,
     ProtocolError,
     RefusedError,
     StateUnknownError,
 )
 from drivers.limits import Limits, check_move
+from drivers.path_watch import PathWatch
 from drivers.setpoints import SetPoints, format_axes
 
 _STOP_TRIES: Final = 4  # attempts to send a stop before its failure is raised
@@ -135,7 +142,7 @@ class SequenceLedger:
         """Become the owner of the arm; wait for a silent owner as long as its watchdog may last.
 
         Raises:
-            NotOwnerError: if another client owns the arm and is active.
+            NotOwnerError: if another client owns the arm and is active, or the status does not show the session.
             RefusedError: if the controller refuses for another reason.
             StateUnknownError: in an uncertainty, and if the controller was restarted since it was connected.
         """
@@ -153,7 +160,15 @@ class SequenceLedger:
                 has_notified = True
                 notify(f"waiting for the client of session {owner}, which owns the arm, to end")
             clock.wait(_TAKE_PAUSE)
-        state = self._read()
+        granted = clock.now()
+        while (state := self._read()).owner != self.session:
+            if clock.now() - granted > status.OWNER_LIMIT:
+                raise NotOwnerError(
+                    f"the controller gave the arm to session {self.session} and still reports {state.owner} as its "
+                    f"owner after {status.OWNER_LIMIT:g} s; nothing was moved: end the other client, or correct the "
+                    "controller's program"
+                )
+            clock.wait(_TAKE_PAUSE)
         if state.boot != self.boot:
             self.uncertainty = "the controller was restarted"
             self.require_certain()
@@ -244,6 +259,8 @@ class ControllerClient:
         self._capabilities: Capabilities | None = None
         self._heartbeat: int | None = None  # the controller's last one
         self._is_halted = False  # a stop was sent because this client has to end: no second stop is tried
+        self._fault: FaultError | None = None  # reported since the last reset
+        self._is_in_position = False  # the last move ended, and no stop or reset followed
 
     def connect(self) -> None:
         """Open the wire and read the state."""
@@ -258,7 +275,8 @@ class ControllerClient:
             except BaseException:
                 self._link.close()
                 raise
-            self._is_halted = False
+            self._is_halted = self._is_in_position = False
+            self._fault = None
             self._ledger.reconcile(state)
             self._capabilities = capabilities
 
@@ -314,8 +332,19 @@ class ControllerClient:
             state = self._require_known()
             if fault := status.latched_fault(state):
                 raise RefusedError(f"{fault}; reset first", Result.IN_FAULT)
+            if self._fault:
+                raise RefusedError(
+                    f"{self._fault}; it is no longer reported and was not reset: find its cause, then reset",
+                    Result.IN_FAULT,
+                )
             if state.is_busy:
                 raise RefusedError("the arm moves or will move; wait until it is at rest", Result.BUSY)
+            if self._is_in_position and state.mode is not Mode.IN_POSITION:
+                raise RefusedError(
+                    f"the arm was in position after its move, and the controller now reports mode "
+                    f"{state.mode.name.lower()}: a stop, a fault or a restart came between; find its cause, then reset",
+                    Result.IN_FAULT,
+                )
             return state
 
     def move(self, set_points: SetPoints, speed: float) -> RobotState:
@@ -325,6 +354,7 @@ class ControllerClient:
             self.take()
             self._is_halted = False
             state = self.require_ready()
+            self._is_in_position = False
             for bounds in (self.capabilities, self._limits):
                 result, detail = check_move(command, state.axes, bounds)
                 if result is not Result.OK:
@@ -332,6 +362,7 @@ class ControllerClient:
             fastest = status.fastest_duration(command, state, self._limits)
             goal = f"the end of a move to {format_axes(command.set_points[-1])}"
             monitor = status.MotionMonitor(self._clock, goal, fastest, self.capabilities.time_scale, self._notify)
+            watch = PathWatch(command, state, self._limits, self.capabilities, self._clock.now())
             try:
                 sequence = self._ledger.send(command)
             except DriverError:
@@ -339,7 +370,7 @@ class ControllerClient:
             except BaseException:  # Ctrl-C before the answer: the arm may move
                 self._halt()
                 raise
-        return self._wait_for_end(sequence, command, monitor, fastest)
+        return self._wait_for_end(sequence, command, monitor, watch, fastest)
 
     def stop(self) -> RobotState:
         """Brake on the path and return when the arm is at rest."""
@@ -351,11 +382,14 @@ class ControllerClient:
             self.take()
             _ = self._require_known()
             self._ledger.send(Reset())
+            self._fault, self._is_in_position = None, False
             return self._read()
 
     def _read(self) -> RobotState:
         state = self._link.state()
         self._heartbeat = state.heartbeat
+        if not self._fault and status.latched_fault(state):
+            self._fault = status.fault_error(state)
         return state
 
     def _read_consistent(self) -> RobotState:
@@ -386,7 +420,7 @@ class ControllerClient:
                 self._pause()
         with self._lock:
             self._ledger.reconcile(state)
-            self._is_halted = False
+            self._is_halted = self._is_in_position = False
         return state
 
     @contextlib.contextmanager
@@ -421,13 +455,20 @@ class ControllerClient:
         self._ledger.require_certain()
         return state
 
-    def _wait_for_end(self, sequence: int, move: Move, monitor: status.MotionMonitor, fastest: float) -> RobotState:
+    def _wait_for_end(
+        self, sequence: int, move: Move, monitor: status.MotionMonitor, watch: PathWatch, fastest: float
+    ) -> RobotState:
         """Wait until a move has ended and the arm is at rest."""
         try:
             while (state := self._read_consistent()).is_busy:
-                has_ended = state.done_sequence == sequence  # the arm brakes, on any client's command
+                # The arm brakes, on any client's command.
+                has_ended = state.done_sequence == sequence and state.owner in (0, self._ledger.session)
                 if not has_ended and (intervention := self._ledger.describe_intervention(state)):
+                    self._halt()
                     raise ProtocolError(intervention)
+                if self._fault:
+                    raise self._stopped_after(self._fault)
+                watch.update(state.axes, self._clock.now())
                 monitor.update(state)
                 self._pause()
             if state.done_sequence != sequence or state.boot != self._ledger.boot:
@@ -436,10 +477,14 @@ class ControllerClient:
                     "another client moved it"
                 )
             status.require_completed(state)
+            if self._fault:
+                raise type(self._fault)(f"{self._fault}; it was reported during the move", self._fault.code)
             status.require_arrived(move, state, monitor.elapsed, fastest)
+            watch.update(state.axes, self._clock.now())
+            watch.require_end(state.axes)
         except LinkError as error:
             raise self._ledger.mark_unknown(f"the progress of move {sequence} is unknown", error) from error
-        except (ContradictionError, OverdueError, ArrivalError) as error:
+        except (ContradictionError, OverdueError, ArrivalError, PathError) as error:
             self._halt()
             self._ledger.uncertainty = str(error)
             raise
@@ -448,7 +493,20 @@ class ControllerClient:
         except BaseException:  # Ctrl-C above all
             self._halt()
             raise
+        self._is_in_position = True
         return state
+
+    def _stopped_after(self, fault: FaultError) -> FaultError:
+        """Stop an arm that moves in a fault, and return the error that ends its move.
+
+        A controller brakes by itself; one that does not, or that forgets the fault, must not drive on.
+        """
+        try:
+            end = f"the arm is at rest at {format_axes(self.stop().axes)}"
+        except DriverError as error:
+            end = f"the stop was not confirmed ({error}), so press the emergency stop"
+            self._ledger.uncertainty = f"{fault}; {end}"
+        return type(fault)(f"{fault}; {end}", fault.code)
 
     def _pause(self) -> None:
         with self._lock:

@@ -15,6 +15,7 @@
     |   `-- ProtocolError           the peer does not speak this protocol, or not in this word order
     |-- ContradictionError          fields of the controller's status contradict each other or are impossible
     |-- OverdueError                an expected event did not happen within its limit
+    |-- PathError                   the arm left the path of its move, or an axis its limits; it was stopped
     |-- ArrivalError                the arm is not at the commanded position, or arrived too early
     |-- NotOwnerError               another client owns the arm, or has stopped it
     `-- StateUnknownError           the execution of the last command is unknown; only state() and stop() are allowed
@@ -98,6 +99,10 @@ class ContradictionError(DriverError):
 
 class OverdueError(DriverError):
     """An expected event did not happen within its time limit."""
+
+
+class PathError(DriverError):
+    """The arm left the path of its move, or an axis its limits; it was stopped."""
 
 
 class ArrivalError(DriverError):

@@ -12,6 +12,9 @@ from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, axis_name, fr
 ENDLESS_RANGE = 36_000 * PER_DEGREE
 """Range of an axis without limits to either side of 0, counts: a hundred turns."""
 
+PATH_TOLERANCE = 2_000
+"""Default path tolerance of every axis, counts: 0.2 deg."""
+
 _ROUNDING = 1e-3  # counts; a limit this near to a count is that count: its radians are rounded
 
 
@@ -52,6 +55,8 @@ class Limits:
         max_speed: largest speed fraction, in (0, 1].
         max_via: largest number of via points of a move; None: no bound.
         jerk: (n,) axis jerks at every speed fraction [rad/s^3]; inf: not limited. A scalar holds for every axis.
+        path_tolerance: (n,) largest deviation of an axis from the path of a move while all others are on it, counts;
+            `drivers.path_watch` combines them. A scalar holds for every axis.
     """
 
     lower: SetPoints
@@ -62,12 +67,14 @@ class Limits:
     max_speed: float = 1.0
     max_via: int | None = None
     jerk: Floats = field(default_factory=lambda: np.array(np.inf))
+    path_tolerance: SetPoints = field(default_factory=lambda: np.array(PATH_TOLERANCE, dtype=np.int32))
 
     def __post_init__(self) -> None:
         axes = max(AXES, np.size(self.lower))
-        if np.ndim(self.jerk) == 0:
-            object.__setattr__(self, "jerk", np.full(axes, self.jerk))
-        for name in ("lower", "upper", "velocity", "acceleration", "max_step", "jerk"):
+        for name in ("jerk", "path_tolerance"):
+            if np.ndim(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(axes, getattr(self, name)))
+        for name in ("lower", "upper", "velocity", "acceleration", "max_step", "jerk", "path_tolerance"):
             values = np.asarray(getattr(self, name))
             if values.shape != (axes,):
                 raise DriverError(f"{name} of a controller's limits has shape {values.shape}; it must be ({axes},)")
@@ -82,8 +89,9 @@ class Limits:
                 raise DriverError(f"{name} of a controller's limits is {values}; every axis must be above 0 and finite")
         if not (self.jerk > 0).all():
             raise DriverError(f"jerk of a controller's limits is {self.jerk}; every axis must be above 0")
-        if not (self.max_step > 0).all():
-            raise DriverError("max_step of a controller's limits must be at least one count on every axis")
+        for name in ("max_step", "path_tolerance"):
+            if not (getattr(self, name) > 0).all():
+                raise DriverError(f"{name} of a controller's limits must be at least one count on every axis")
         if self.max_via is not None and self.max_via < 1:
             raise DriverError(f"the largest number of via points is {self.max_via}; it must be at least 1")
         if not 0 < self.max_speed <= 1:

@@ -3,7 +3,7 @@
 | option | default | meaning |
 |---|---|---|
 | `plant` | `ideal` | the plant that moves: `ideal`, or the name of an injected plant |
-| `realtime` | off | wait as long as the arm would; else time jumps to the end of each move |
+| `realtime` | off | wait as long as the arm would; else time jumps between readings of the arm |
 | `time_scale` | 1 | with `realtime`: simulated seconds per real second |
 | `start` | 0,-90,90,0,90,0 | axes of the arm at the start [deg] |
 
@@ -26,6 +26,9 @@ from drivers.simulated_controller import Controller, IdealPlant
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 """Axes of the arm at the start [deg]."""
+
+POLL = 0.02
+"""Longest time [s] between two readings of a moving arm, as on a wire."""
 
 
 class _InProcessLink:
@@ -59,7 +62,7 @@ class _InProcessLink:
         return dataclasses.replace(self._controller.state(), owner=self._session)
 
     def time_to_wait(self) -> float:
-        return self._controller.time_to_wait()
+        return min(self._controller.time_to_wait(), POLL)
 
 
 class SimDriver(ControllerClient):

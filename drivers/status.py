@@ -41,6 +41,9 @@ STOP_LIMIT: Final = 5.0
 HALT_LIMIT: Final = 1.0
 """Time [s] for the stop of a client that has to end."""
 
+OWNER_LIMIT: Final = 1.0
+"""Longest time [s] from a granted session until the status shows it as the owner."""
+
 TAKE_LIMIT: Final = 5.5
 """Longest time [s] to wait for a silent owner: the longest watchdog, with a margin."""
 
@@ -115,6 +118,12 @@ def latched_fault(state: RobotState) -> str:
     if state.mode is Mode.FAULT or state.flags & Flag.FAULT or state.fault_code:
         return state.fault_message or f"fault {state.fault_code} of this controller"
     return ""
+
+
+def fault_error(state: RobotState) -> FaultError:
+    """Return the error of the fault or emergency stop that a status reports."""
+    is_emergency = state.mode is Mode.EMERGENCY_STOP or state.flags & Flag.EMERGENCY_STOP
+    return (EmergencyStopError if is_emergency else FaultError)(latched_fault(state), state.fault_code)
 
 
 def is_at_rest(state: RobotState) -> bool:

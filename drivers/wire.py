@@ -19,6 +19,8 @@ controller is still the same and whether the last command was executed.
 """
 
 import math
+import os
+import re
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -433,8 +435,22 @@ def port_path(url: DriverUrl) -> str:
     Raises:
         DriverUrlError: if it names none, or a host.
     """
-    if url.host or url.path in ("", "/"):
+    path = unquote(url.path)
+    if windows := re.fullmatch(r"/*(?:[\\/]{2}\.[\\/])?(COM[0-9]+)/?", (url.host or "") + path, re.IGNORECASE):
+        return "\\\\.\\" + windows[1].upper()  # the form that also has ports above COM9
+    if url.host or path in ("", "/"):
         raise DriverUrlError(
-            f"'{url.text}' names no port; write three slashes: {url.scheme}:///dev/ttyUSB0?baud=115200"
+            f"'{url.text}' names no port; write three slashes: {url.scheme}:///dev/ttyUSB0?baud=115200, or on "
+            f"Windows {url.scheme}:///COM3?baud=115200"
         )
-    return unquote(url.path)
+    return path
+
+
+def describe_failure(error: Exception) -> str:
+    """Return the cause of a failed port in the words of the system, not of the library that met it."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and (cause.strerror or cause.errno):
+            return (os.strerror(cause.errno) if cause.errno else str(cause.strerror)).lower()
+        cause = cause.__cause__ or cause.__context__
+    return "the port is missing, closed or in use; check address, plug and rights"

@@ -3,14 +3,17 @@
 import json
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 import typer
 
 from cell import signals
-from cell.errors import CellError, FileError
+from cell.errors import CellError, FileError, UsageError
 from cell.signals import INTERRUPTED
 
 _BUG = 70
@@ -55,13 +58,24 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:  # of the system: names of more than 255 bytes, permissions, devices
-        name = f"{str(error.filename)[:80]} " if error.filename is not None else ""
+        if (plug_in := _plug_in_of(error)) is not None:
+            return _report(*_plug_in_failure(plug_in, error), as_json)
+        # A write to an open file has no name; the results of a command are in its folder or at --out.
+        name = str(error.filename)[:80] if error.filename is not None else f"a file below {Path.cwd()} or at --out"
         reason = (error.strerror or "the operating system refuses access").lower()
-        return _report(f"{name}cannot be used: {reason}; choose another name or folder", FileError.exit_code, as_json)
-    except MemoryError:
-        return _report("out of memory; use fewer --faces, --samples or --standoff values", CellError.exit_code, as_json)
-    except Exception as error:
-        if os.environ.get("SCAN_CELL_TRACEBACK"):
+        return _report(f"{name} cannot be used: {reason}; choose another name or folder", FileError.exit_code, as_json)
+    except MemoryError as error:
+        owner = f" in {plug_in[0]}" if (plug_in := _plug_in_of(error)) is not None else ""
+        return _report(
+            f"out of memory{owner}; close other programs, plan with fewer --faces, --samples or --standoff values, or "
+            "scan at a coarser --resolution",
+            UsageError.exit_code,
+            as_json,
+        )
+    except (Exception, SystemExit) as error:
+        if (plug_in := _plug_in_of(error)) is not None:
+            return _report(*_plug_in_failure(plug_in, error), as_json)
+        if isinstance(error, SystemExit) or os.environ.get("SCAN_CELL_TRACEBACK"):
             raise
         return _report(
             f"this is a bug in scan-cell: {type(error).__name__}: {error}. "
@@ -71,6 +85,30 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
         )
     code = result if isinstance(result, int) else 0  # typer returns the code of its Exit, also after Ctrl-C
     return _report(_interruption(), INTERRUPTED, as_json) if code == INTERRUPTED else code
+
+
+def _plug_in_of(error: BaseException) -> tuple[str, int] | None:
+    """Return name and exit code of the foreign plug-in whose code raised an error; None if none did."""
+    kinds = {"cell.scanners": ("scanner", 2), "cell.drivers": ("driver", 5), "cell.acquisition": ("acquisition", 2)}
+    owners = {
+        point.module.partition(".")[0]: (f"the {kind} '{point.name}' ({point.value})", code)
+        for group, (kind, code) in kinds.items()
+        for point in entry_points(group=group)
+    }
+    frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
+    for module in reversed(frames):
+        root = str(module).partition(".")[0]
+        if root in ("cell", "planner", "drivers"):
+            return None
+        if root in owners:
+            return owners[root]
+    return None
+
+
+def _plug_in_failure(plug_in: tuple[str, int], error: BaseException) -> tuple[str, int]:
+    """Return the sentence about a plug-in that raised an error, and its exit code."""
+    name, code = plug_in
+    return f"{name} failed with {type(error).__name__}: {error}; repair or uninstall its distribution", code
 
 
 def _interruption() -> str:

@@ -34,7 +34,7 @@ app = typer.Typer(
     epilog="Examples:\n\n"
     "cell study standoff mug --values 50:500:50\n\n"
     "cell study placement mug --processes 4 --out map\n\n"
-    "cell study scanner --sensors all --cluster tcp://scheduler:8786\n\n"
+    "cell study scanner --sensors all --cluster tcp://127.0.0.1:8786\n\n"
     "The result of each trial is kept: a stopped study resumes, and a repeated one takes a second.\n\n" + EXIT_CODES,
 )
 
@@ -51,7 +51,7 @@ def run_and_print(
     from cell.study.trials import open_workers
 
     terminal = Terminal(quiet_stdout=as_json)
-    with open_workers(run.count, run.cluster) as workers:
+    with open_workers(run.count, run.cluster, run.cluster_security) as workers:
         result = run_study(make(), workers, out=run.out, reporter=terminal, plan=plan)
     _print_study(terminal, result, as_json)
     if not result.rows:
@@ -199,6 +199,6 @@ def place(
     checked = scene_from_options(scene, given, part, flag)
     folder = study_folder("place", run.out)
     terminal = Terminal(quiet_stdout=as_json)
-    with open_workers(run.count, run.cluster) as workers, terminal.rounds() as progress:
+    with open_workers(run.count, run.cluster, run.cluster_security) as workers, terminal.rounds() as progress:
         result = place_study(checked, where, workers, folder, progress, plan_command(part, scene, given))
     _print_study(terminal, result, as_json)

@@ -51,6 +51,8 @@ def read(path: Path) -> Floats:
     except (PlyError, point_tables.TableError, _PcdError) as error:
         raise FileError(f"{path} {error}") from error
     finite: Floats = points[np.isfinite(points).all(axis=1)]
+    if len(points) and not len(finite):
+        raise FileError(f"{path} has {len(points)} points, and the coordinates of none are finite; scan again")
     return finite
 
 

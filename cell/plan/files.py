@@ -153,6 +153,7 @@ def write_cell(folder: RunFolder, settled: SettledScene, planning: TriangleMesh,
         acceleration_scaling=scene.robot.acceleration_scaling,
         clearance_mm=scene.clearance_mm,
         arrival_mm=scene.arrival_mm,
+        path_tolerance_mm=scene.path_tolerance_mm,
         plan=ResolvedPlan.model_validate(
             dict(scene.plan)
             | {

@@ -108,7 +108,7 @@ def load() -> mujoco.MjModel:
     try:
         return spec().compile()
     except ValueError as error:
-        raise FileError(f"{model_file(KR16_FILE)} does not compile: {error}; install scan-cell again") from error
+        raise FileError(f"{model_file(KR16_FILE)} does not compile; install scan-cell again") from error
 
 
 def limits(model: mujoco.MjModel) -> JointLimits:

@@ -137,8 +137,21 @@ def read_robot(
                 _require_only_kinematics(spec.compiler)
                 model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} is not accepted by MuJoCo: {' '.join(str(error).split())}; correct it") from error
+        raise FileError(f"{path} is not accepted by MuJoCo: {describe_refusal(error)}; correct it") from error
     return _select_arm(path, model, base, flange, extras, messages)
+
+
+_REFUSALS = {
+    "inertia must satisfy": "an inertia is impossible, no principal moment may exceed the sum of the other two",
+    "mass and inertia of moving bodies": "a moving body has no mass or inertia; give it an <inertial>",
+}
+
+
+def describe_refusal(error: ValueError) -> str:
+    """Return why MuJoCo refuses a description: common causes with their cure, and the element that it names."""
+    words = " ".join(str(error).split())
+    cause = next((ours for theirs, ours in _REFUSALS.items() if theirs in words), "")
+    return cause + words.partition("Element")[2].join((" (element", ")")) if cause else words
 
 
 def _parse(path: Path) -> ElementTree.Element:

@@ -81,6 +81,19 @@ class RunCell:
         allowed = self.scene.arrival_mm
         return (min(1.0, self.scene.clearance_mm / 10) if allowed is None else allowed) / 1000
 
+    def path_tolerance(self, proven_clearance: float = np.inf) -> float:
+        """Return how far any point of arm or tool may be from the path of a move [m].
+
+        It is at most half of the proven clearance of the motion, and of the clearance of the scene, of which a
+        certified segment keeps more than half (`planner.path.certified_edge`). The rest remains until a stop acts.
+
+        Args:
+            proven_clearance: lower bound of the motion [m].
+        """
+        allowed = self.scene.path_tolerance_mm
+        half = min(self.scene.clearance_mm / 1000, proven_clearance) / 2
+        return half if allowed is None else min(allowed / 1000, half)
+
     def scanner_pose(self, q: Floats) -> Floats:
         """Return (4, 4) T_object_scanner [m] at (axes,) joint angles [rad]."""
         T_part_scanner = self.kinematics.forward(np.asarray(q)[None])[0] @ self.scene.T_flange_scanner

@@ -251,6 +251,13 @@ class Run(ArtefactFolder):
             return float(clearance[segment]), str(stored["between"][segment])
 
     @cached_property
+    def proven_clearance(self) -> float:
+        """Smallest proven lower bound on the clearance of the motion [m]; inf if none was measured."""
+        with reading(self.folder / "motion.npz"):
+            proven = np.asarray(self.arrays("motion.npz")["clearance_at_least"], dtype=np.float64)
+            return float(np.min(proven[np.isfinite(proven)], initial=np.inf))
+
+    @cached_property
     def candidates(self) -> Viewpoints:
         """The candidate viewpoints."""
         stored = self.arrays("viewpoints.npz")
@@ -680,7 +687,7 @@ def npz_arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         return arrays
     except (
         ValueError, OSError, EOFError, TypeError, NotImplementedError, OverflowError, RuntimeError, SyntaxError,
-        KeyError, MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
+        KeyError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
     ) as error:  # fmt: skip
         raise FileError(f"{path} is damaged or cut short and cannot be read; plan or scan again") from error
 

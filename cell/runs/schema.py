@@ -724,6 +724,7 @@ class ResolvedScene(JsonTable):
     acceleration_scaling: float = Field(description="share of the acceleration and jerk limits used for timing")
     clearance_mm: float = Field(description="required clearance")
     arrival_mm: float | None = optional("tolerance on the position of any point of arm or tool at the end of a move")
+    path_tolerance_mm: float | None = optional("tolerance on the position of any point of arm or tool during a move")
     plan: ResolvedPlan
     regions: tuple[ResolvedRegion, ...] | None = optional()
 

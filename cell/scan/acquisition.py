@@ -13,14 +13,18 @@ docs/internals/plug_ins.md shows how to write one. `Files` and `Command` are two
 import hashlib
 import json
 import logging
+import os
 import shlex
+import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
+from typing import IO, TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +49,8 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 _POLL_S = 0.2  # between two checks of a folder
 _TRIES = 3  # calls of a command
+_MAX_OUTPUT = 65536  # bytes of a command's output, the last ones
+_FAR = 10.0  # times the largest range: farther points are no outliers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,14 +299,72 @@ class Command:
         """Call the command; return its ending and its output."""
         command = [*self._words, str(view.stop), str(pose), str(out)]
         try:
-            done = subprocess.run(
-                command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=self._timeout, check=False
+            # A group of its own: a time-out or Ctrl-C also ends what the command has started.
+            process = subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
             )
-        except subprocess.TimeoutExpired as error:
-            return f"took longer than {self._timeout:g} s", (error.stdout or b"").decode("utf-8", "replace")
         except OSError as error:
-            return f"cannot be started: {error.strerror or error}", ""
-        return f"ended with code {done.returncode}", done.stdout.decode("utf-8", "replace")
+            return f"cannot be started: {(error.strerror or 'the system refuses it').lower()}", ""
+        output = bytearray()
+        reader = threading.Thread(target=_keep_end, args=(process.stdout, output), daemon=True)
+        reader.start()
+        try:
+            ending = f"ended with code {process.wait(self._timeout)}"
+        except subprocess.TimeoutExpired:
+            ending = f"took longer than {self._timeout:g} s"
+        finally:
+            if process.poll() is None:
+                _kill_group(process)
+            reader.join(_POLL_S)  # a process in the background may keep the pipe open
+        return ending, bytes(output).decode("utf-8", "replace")
+
+
+def _keep_end(stream: IO[bytes], output: bytearray) -> None:
+    """Read a stream to its end, and keep its last `_MAX_OUTPUT` bytes."""
+    with stream:
+        while chunk := os.read(stream.fileno(), 65536):
+            output += chunk
+            del output[:-_MAX_OUTPUT]
+
+
+def _kill_group(process: subprocess.Popen[bytes]) -> None:
+    """End a process and all that it has started."""
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
+    process.wait()
+
+
+def require_scan(acquired: Acquired, view: View, range_mm: object) -> None:
+    """Refuse points that no scanner measures: of another shape, not finite, or far beyond its range.
+
+    Args:
+        acquired: the points.
+        view: where they were measured.
+        range_mm: the scanner's smallest and largest range, if it has them.
+
+    Raises:
+        FileError: with the cause; the view is then not scanned.
+    """
+    points, problem = np.asarray(acquired.points), ""
+    cure = "nothing was kept of it; correct the source of the points, then cell scan --resume takes the view"
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+        problem = f"are an array of type {points.dtype} and shape {points.shape} instead of (P, 3) numbers"
+    elif not np.isfinite(points).all():
+        n_bad = int((~np.isfinite(points)).any(axis=1).sum())
+        problem = f"have coordinates that are not finite in {n_bad} of {len(points)} rows"
+    elif isinstance(range_mm, list) and len(range_mm) == 2 and len(points):
+        T = np.linalg.inv(view.T_object("scanner")) @ view.T_object(acquired.frame)
+        limit = _FAR * float(range_mm[1]) / 1000.0
+        distance = np.linalg.norm(points @ T[:3, :3].T + T[:3, 3], axis=1)
+        if not (distance <= limit).all():
+            problem = (
+                f"are up to {distance.max():.3g} m away from the scanner, whose range ends at {range_mm[1]} mm (values "
+                "of rays without an echo, another unit, or another frame)"
+            )
+    if problem:
+        raise FileError(f"the points of view {view.stop} {problem}; {cure}")
 
 
 def _pose_values(view: View) -> dict[str, object]:

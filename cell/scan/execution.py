@@ -8,6 +8,7 @@ in the plan's prediction.
 """
 
 import dataclasses
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ from drivers.contract import Driver, Move, Result, RobotState
 from drivers.errors import DriverError
 from drivers.limits import Limits, check_move
 from drivers.registry import Context, open_driver
-from drivers.setpoints import SetPoints, format_axes, from_rad, to_deg, to_rad
+from drivers.setpoints import PER_DEGREE, SetPoints, format_axes, from_rad, to_deg, to_rad
 from drivers.sim import SimDriver
 from drivers.simulated_controller import PlantFactory
 from planner.ports import Progress
@@ -41,6 +42,11 @@ from planner.values import Floats
 
 START_TOLERANCE = 100
 """Largest distance of the arm from the start of a segment, in counts: 0.01 deg."""
+
+_WATCH_S = 0.1  # between two readings of the state during a scan
+
+_SMALL_REACH = 0.1
+"""Distances of points from an axis below this [m] count as this: a flange needs no tolerance of many degrees."""
 
 _DYNAMIC = ("velocity", "acceleration", "jerk")
 _LIMITS = ("lower", "upper", *_DYNAMIC)
@@ -147,6 +153,7 @@ def make_driver(
     cell: RunCell,
     plants: Mapping[str, PlantFactory] | None = None,
     notify: Callable[[str], None] | None = None,
+    proven_clearance: float = np.inf,
 ) -> tuple[Driver, Clock]:
     """Return the driver, not yet connected, and the clock of its events.
 
@@ -160,6 +167,7 @@ def make_driver(
         cell: of the run, with the arm's limits and the speed scaling of the plan.
         plants: further plants of a simulated controller by name.
         notify: receives messages about long waits.
+        proven_clearance: lower bound on the clearance of the motion [m], for the tolerance of its path.
 
     Raises:
         UsageError: if real time is requested of a controller that is not simulated.
@@ -187,6 +195,9 @@ def make_driver(
     with driver_errors():
         limits = Limits.from_rad(arm)
         limits = limits.with_endless_axis() if cell.scene.table_is_endless else limits
+        reach = cell.travel.reach(len(limits.lower))
+        tolerance = np.degrees(cell.path_tolerance(proven_clearance) / np.maximum(reach, _SMALL_REACH)) * PER_DEGREE
+        limits = dataclasses.replace(limits, path_tolerance=np.maximum(tolerance, 1))
         driver = open_driver(url, Context(limits, clock, plants or {}, notify))
         # A simulated controller has one clock, with its time scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
@@ -336,10 +347,12 @@ def scan_view(
         cell.in_base(q[0], cell.scene.T_base_object),
         np.argsort([each.pose for each, _ in reached]),
     )
-    acquired = acquisition.take(view)
+    with _watch_at_rest(driver):
+        acquired = acquisition.take(view)
+    _require_arrived(segment, driver.require_ready(), cell)
     if acquired is None:
         return None, {}
-    _require_arrived(segment, driver.require_ready(), cell)
+    sources.require_scan(acquired, view, cell.scanner_keys.own.get("range_mm"))
     T = view.T_object(acquired.frame)
     points = acquired.points if acquired.frame == "object" else acquired.points @ T[:3, :3].T + T[:3, 3]
     sweep = {
@@ -360,6 +373,36 @@ def scan_view(
         **(sweep if len(reached) > 1 else {}),
     )
     return len(points), acquired.details
+
+
+@contextmanager
+def _watch_at_rest(driver: Driver) -> Iterator[None]:
+    """Read the state of a controller in real time while the block scans, and raise what `require_ready` refuses.
+
+    A fault, a motion or a loss of the session is so found also if it is over at the end of the scan.
+    """
+    if driver.capabilities.simulated_time:  # nothing happens while its time stands still
+        yield
+        return
+    found: list[Exception] = []
+    ended = threading.Event()
+
+    def watch() -> None:
+        while not found and not ended.wait(_WATCH_S):
+            try:
+                driver.require_ready()
+            except Exception as error:  # raised in the thread of the scan
+                found.append(error)
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    if found:
+        raise found[0]
 
 
 def _chunks(set_points: SetPoints, max_via: int | None) -> Iterator[SetPoints]:

@@ -79,7 +79,7 @@ def execute_run(
     approved = _approved(verified, plan, options.view)
     cell = _cell(run, options, true_part)
     seed = options.seed if options.seed is not None else run.seed
-    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note)
+    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
     stored = options.as_manifest() | {"scanner": cell.scanner_keys.as_json()}
     if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
         session.note(warning)
@@ -158,7 +158,7 @@ def _resume(
         session.note(sentence)
     if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
         session.note(warning)
-    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note)
+    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
     if options.is_simulated:
         safety.require_room(cell, plan, run.folder)
     with ExitStack() as stack:

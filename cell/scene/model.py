@@ -954,6 +954,7 @@ class Scene(Table):
 
     clearance_mm: NotNegative = 10.0
     arrival_mm: Positive | None = None
+    path_tolerance_mm: Positive | None = None
     robot: Robot = Field(default_factory=Robot)
     scanner: Scanner = Field(default_factory=Scanner)
     mount: Mount = Field(default_factory=Mount)

@@ -153,6 +153,11 @@ def _settings(scene: Scene, part: Workpiece) -> Settings:
             f"arrival_mm is {scene.arrival_mm:g}; it must be at most a tenth of clearance_mm, "
             f"{scene.clearance_mm / 10:g}"
         )
+    if scene.path_tolerance_mm is not None and scene.path_tolerance_mm > scene.clearance_mm / 2:
+        raise SceneError(
+            f"path_tolerance_mm is {scene.path_tolerance_mm:g}; it must be at most half of clearance_mm, "
+            f"{scene.clearance_mm / 2:g}, or an arm within it may collide"
+        )
     if scene.scanner.max_spacing_mm is not None and scene.plan.fill == "rays":
         raise SceneError(
             "scanner.max_spacing_mm limits the spacing of a scan's rays, and plan.fill = 'rays' casts its own rays; "

@@ -50,9 +50,19 @@ class StudyRun(Table):
     """Workers of a study, and its folder."""
 
     processes: Annotated[int | None, Option("Local worker processes. Default: one per core.")] = None
-    cluster: Annotated[str | None, Option("Dask scheduler, for instance tcp://scheduler:8786.", metavar="ADDRESS")] = (
-        None
-    )
+    cluster: Annotated[
+        str | None,
+        Option(
+            "Dask scheduler, tcp://127.0.0.1:8786 on this machine. Whoever reaches its port runs code: beyond this "
+            "machine use tls:// with --cluster-security.",
+            metavar="ADDRESS",
+        ),
+    ] = None
+    cluster_security: Annotated[
+        Path | None,
+        Field(strict=False),
+        Option("TOML file with ca_file, cert_file and key_file of a tls:// scheduler.", metavar="FILE"),
+    ] = None
     out: Annotated[
         Path | None, Field(strict=False), Option("Folder of the study. Default: sim_runs/study-<name>.", metavar="DIR")
     ] = None

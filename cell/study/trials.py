@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import tomllib
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -230,19 +231,22 @@ def run_trials(
     return [outcomes[trial] for trial in trials]
 
 
-def open_workers(processes: int, cluster: str | None = None) -> Workers:
+def open_workers(processes: int, cluster: str | None = None, security: Path | None = None) -> Workers:
     """Return local worker processes, or those of a Dask cluster.
 
     Args:
         processes: number of local processes, at least 1.
         cluster: address of a Dask scheduler, in place of local processes.
+        security: TOML file with `ca_file`, `cert_file` and `key_file` of a tls:// scheduler, relative to it.
 
     Raises:
         UsageError: if the number is not positive, the cluster does not answer, or Dask is not installed.
     """
     if processes < 1:
         raise UsageError(f"--processes {processes} must be at least 1")
-    return Processes(processes) if cluster is None else Cluster(cluster)
+    if cluster is None and security is not None:
+        raise UsageError("--cluster-security is for --cluster tls://HOST:PORT; give both, or omit it")
+    return Processes(processes) if cluster is None else Cluster(cluster, security)
 
 
 class Processes(Workers):
@@ -302,19 +306,46 @@ def _end_with_parent() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
+def _certificates(path: Path) -> dict[str, str]:
+    """Return the certificate files that a security file names, by their names in Dask.
+
+    Raises:
+        UsageError: if it is not readable, or a key or a file is missing.
+    """
+    names = {"ca_file": "tls_ca_file", "cert_file": "tls_client_cert", "key_file": "tls_client_key"}
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--cluster-security {path} cannot be read as TOML; it has {', '.join(names)}") from error
+    if set(given) != set(names) or not all(isinstance(each, str) for each in given.values()):
+        raise UsageError(f"--cluster-security {path} has {', '.join(given) or 'no keys'}; it has {', '.join(names)}")
+    files = {name: path.parent / given[key] for key, name in names.items()}
+    if missing := [str(file) for file in files.values() if not file.is_file()]:
+        raise UsageError(f"--cluster-security {path} names {missing[0]}, which does not exist")
+    return {name: str(file) for name, file in files.items()}
+
+
 class Cluster(Workers):
     """Workers of a Dask scheduler, which gives the trials of a lost worker to another."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, security: Path | None = None) -> None:
+        if address.startswith("tls://") is not (security is not None):
+            raise UsageError(
+                f"--cluster {address} and --cluster-security {security or 'is not given'} do not agree; a tls:// "
+                "scheduler needs the file of its certificates, and no other scheduler uses it"
+            )
         try:
-            from distributed import Client
+            from distributed import Client, Security
         except ImportError as error:
             raise UsageError("--cluster needs Dask; install it with pip install 'scan-cell[cluster]'") from error
         try:
-            self._client: Any = Client(address, timeout=_CLUSTER_TIMEOUT_S, set_as_default=False)
+            files = {} if security is None else _certificates(security)
+            options = {"security": Security(require_encryption=True, **files)} if files else {}
+            self._client: Any = Client(address, timeout=_CLUSTER_TIMEOUT_S, set_as_default=False, **options)
         except (OSError, ValueError, TimeoutError) as error:
             raise UsageError(
-                f"no Dask scheduler answers at {address}; start one with dask scheduler ({error})"
+                f"no Dask scheduler answers at {address}; start one with dask scheduler --host 127.0.0.1, and check "
+                "address, port and certificates"
             ) from error
 
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:

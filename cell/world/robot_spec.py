@@ -96,7 +96,7 @@ def load_robot(
         try:
             return mujoco.MjSpec.from_file(str(path))
         except ValueError as error:
-            raise FileError(f"{path} cannot be read as an MJCF: {error}") from error
+            raise FileError(f"{path} cannot be read as an MJCF: {robot_file.describe_refusal(error)}") from error
     folders = {name: Path(folder) for name, folder in packages}
     file = robot_file.read_robot(path, base=base_link, flange=flange_link, packages=folders)
     spec = normalise(file, velocity_deg_s)
@@ -105,7 +105,8 @@ def load_robot(
     try:
         model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} has shapes that MuJoCo does not accept: {error}") from error
+        cause = robot_file.describe_refusal(error)
+        raise FileError(f"{path} has shapes that MuJoCo does not accept: {cause}") from error
     links = LinkPairs(model)
     classes = links.classify()
     for one, other in classes.joined:

@@ -106,6 +106,19 @@ class TravelBound:
         ]
         return np.concatenate(pieces) + external if pieces else np.zeros(0)
 
+    def reach(self, axes: int) -> Floats:
+        """Return the largest distances (axes,) of any point of arm or tool from each axis, over all angles [m].
+
+        The displacement of any point between two configurations is at most the sum of reach times angle. Behind A6
+        they are the radius of a rotary table.
+        """
+        reach = self._caps.max(axis=1)
+        for link, turns in self._turning:
+            for axis, radius in turns:
+                carried = 0.0 if link is None else self._caps[axis, link]
+                reach[axis] = max(reach[axis], carried + sum(each for other, each in turns if other == axis), radius)
+        return np.concatenate([reach, np.full(axes - _N, self._table_radius)])
+
     def _bound(self, q_from: Floats, q_to: Floats) -> Floats:
         count = len(q_from)
         steps = np.abs(q_to - q_from)

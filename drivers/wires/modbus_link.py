@@ -37,6 +37,7 @@ from drivers.wire import (
     Stage,
     Take,
     Timeouts,
+    describe_failure,
     port_path,
     speed_from_wire,
 )
@@ -80,6 +81,26 @@ class _PromptSerialClient(ModbusSerialClient):
     The framer waits for missing bytes of a telegram. If pymodbus renames the method, this client is only slower.
     """
 
+    echo = False
+    """Whether the adapter returns all sent bytes, which are then read and dropped."""
+
+    is_echoing = False
+    """Whether the last answer began with the sent bytes."""
+
+    _sent = b""
+
+    def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
+        size = int(super().send(request, addr))
+        self._sent, self.is_echoing, port = request, False, self.socket
+        if self.echo and port is not None and port.read(size) != request:
+            raise ProtocolError(f"{port.name} does not return the bytes that are sent to it; omit the option echo")
+        return size
+
+    def recv(self, size: int | None) -> bytes:
+        received = bytes(super().recv(size))
+        self.is_echoing = self.is_echoing or (len(received) > 1 and self._sent.startswith(received[: len(self._sent)]))
+        return received
+
     def _wait_for_data(self) -> int:
         port: Any = self.socket
         try:
@@ -112,10 +133,14 @@ class ModbusPort:
         return cls(f"{host}:{port}", unit, client, keeps_late_answers=True)
 
     @classmethod
-    def rtu(cls, path: str, baud: int, unit: int, answer: float) -> "ModbusPort":
-        """Return a device on a serial line; the transfer time of the bytes is added to `answer` [s]."""
+    def rtu(cls, path: str, baud: int, unit: int, answer: float, *, echo: bool = False) -> "ModbusPort":
+        """Return a device on a serial line; the transfer time of the bytes is added to `answer` [s].
+
+        With `echo` the adapter returns all sent bytes, as RS-485 adapters of two wires do that cannot switch it off.
+        """
         timeout = answer + _RTU_BYTES * BITS_PER_BYTE / baud
         client = _PromptSerialClient(path, framer=FramerType.RTU, baudrate=baud, timeout=timeout, retries=0)
+        client.echo = echo
         return cls(path, unit, client, keeps_late_answers=False)
 
     def open(self) -> None:
@@ -123,7 +148,7 @@ class ModbusPort:
         try:
             opened = self._client.connect()
         except Exception as error:  # pymodbus passes on some errors of the operating system
-            raise LinkLostError(f"{self.name} cannot be opened: {error}") from error
+            raise LinkLostError(f"{self.name} cannot be opened: {describe_failure(error)}") from error
         if not opened:
             raise LinkLostError(
                 f"{self.name} cannot be opened: nothing listens there, or the port is missing or in use; check "
@@ -162,16 +187,22 @@ class ModbusPort:
     def _execute(self, request: Any) -> Any:
         try:
             response = request()
+        except ProtocolError:
+            raise
         except ModbusIOException as error:  # no answer, or one for another request
             if self._keeps_late_answers:
                 self.close()
-            raise AnswerTimeoutError(f"{self.name} gave no answer in time: {error.string}") from error
+            self._require_no_echo(error)
+            raise AnswerTimeoutError(
+                f"{self.name} gave no answer of unit {self._unit} in time; check cable, unit, baud rate and the device"
+            ) from error
         except (ConnectionException, OSError) as error:
             self.close()
-            raise LinkLostError(f"{self.name} is gone: {error}") from error
+            raise LinkLostError(f"{self.name} is gone: {describe_failure(error)}") from error
         except Exception as error:  # a corrupted telegram can fail anywhere in the library
+            self._require_no_echo(error)
             self.close()
-            raise ProtocolError(f"{self.name} sent a broken telegram ({type(error).__name__}: {error})") from error
+            raise ProtocolError(f"{self.name} sent a broken telegram; check cable, baud rate and device") from error
         if response.isError():
             code = int(getattr(response, "exception_code", 0))
             raise ProtocolError(
@@ -179,6 +210,13 @@ class ModbusPort:
                 f"{_EXCEPTIONS.get(code, 'a code of its own')}"
             )
         return response
+
+    def _require_no_echo(self, error: Exception) -> None:
+        if getattr(self._client, "is_echoing", False):
+            raise ProtocolError(
+                f"{self.name} returns the bytes that are sent to it: an RS-485 adapter with echo; switch its echo off, "
+                "or add the option echo to the URL"
+            ) from error
 
 
 class ModbusLink(ReopeningLink):
@@ -339,7 +377,7 @@ class ModbusDriver(ControllerClient):
         Raises:
             DriverUrlError: if it names no host, or an option is invalid.
         """
-        unit, timeouts = _unit(url), Timeouts.from_url(url)
+        unit, timeouts = _unit(url, 0, 255), Timeouts.from_url(url)
         url.finish()
         if not url.host or url.path not in ("", "/"):
             raise DriverUrlError(f"'{url.text}' must name a host and no path: modbus://192.168.0.10:502?unit=1")
@@ -357,10 +395,11 @@ class ModbusRtuDriver(ControllerClient):
         Raises:
             DriverUrlError: if it names no port, or an option is invalid.
         """
-        unit, baud = _unit(url), url.integer("baud", 115200, at_least=50)
-        timeouts = Timeouts.from_url(url)
+        unit, baud = _unit(url, 1, 247), url.integer("baud", 115200, at_least=50)
+        timeouts, echo = Timeouts.from_url(url), url.flag("echo")
         url.finish()
-        return _driver(cls, ModbusPort.rtu(port_path(url), baud, unit, timeouts.answer), timeouts, context)
+        port = ModbusPort.rtu(port_path(url), baud, unit, timeouts.answer, echo=echo)
+        return _driver(cls, port, timeouts, context)
 
 
 def _driver(kind: type[Client], port: ModbusPort, timeouts: Timeouts, context: Context) -> Client:
@@ -370,8 +409,9 @@ def _driver(kind: type[Client], port: ModbusPort, timeouts: Timeouts, context: C
     return kind(link, clock, context.limits, notify=context.notify)
 
 
-def _unit(url: DriverUrl) -> int:
-    unit = url.integer("unit", 1, at_least=1)
-    if unit > 247:
-        raise DriverUrlError(f"'{url.text}' has unit={unit}; a device address is 1 to 247")
+def _unit(url: DriverUrl, lowest: int, highest: int) -> int:
+    """Take the unit: on a line an address; behind TCP also 0 and 255, by which devices without a line are addressed."""
+    unit = url.integer("unit", 1, at_least=lowest)
+    if unit > highest:
+        raise DriverUrlError(f"'{url.text}' has unit={unit}; a device address is {lowest} to {highest}")
     return unit

@@ -21,7 +21,7 @@ from drivers.clock import Clock, RealTimeClock
 from drivers.contract import Answer, Capabilities, RobotState
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
 from drivers.registry import Context, DriverUrl
-from drivers.wire import Line, ReopeningLink, Timeouts, port_path
+from drivers.wire import Line, ReopeningLink, Timeouts, describe_failure, port_path
 from drivers.wires.serial_protocol import (
     COUNTS_PER_FRAME,
     FROM_CONTROLLER,
@@ -83,8 +83,8 @@ class SerialPort:
             self._port = serial.Serial(self.name, self._baud, timeout=0.0, write_timeout=1.0, exclusive=True)
         except _FAILURES as error:
             raise LinkLostError(
-                f"{self.name} cannot be opened for reading and writing: {error}; check the name, the plug, the rights "
-                "(on Linux the group dialout), and that no other program uses it"
+                f"{self.name} cannot be opened for reading and writing: {describe_failure(error)}; check the name, the "
+                "plug, the rights (on Linux the group dialout), and that no other program uses it"
             ) from error
 
     def close(self) -> None:
@@ -102,7 +102,7 @@ class SerialPort:
             self._port.reset_input_buffer()
             self._port.write(data)
         except _FAILURES as error:
-            raise LinkLostError(f"{self.name} cannot be written any more: {error}") from error
+            raise LinkLostError(f"{self.name} cannot be written any more: {describe_failure(error)}") from error
 
     def read(self, seconds: float) -> bytes:
         """Return bytes as soon as some arrive within `seconds`; raise LinkLostError if the port is gone."""
@@ -111,7 +111,7 @@ class SerialPort:
             first: bytes = self._port.read(1)
             return first + self._port.read(self._port.in_waiting) if first else first
         except _FAILURES as error:
-            raise LinkLostError(f"{self.name} cannot be read any more: {error}") from error
+            raise LinkLostError(f"{self.name} cannot be read any more: {describe_failure(error)}") from error
 
 
 class SerialLink(ReopeningLink):
@@ -165,13 +165,16 @@ class SerialLink(ReopeningLink):
         try:
             self._port.write(data)
             deadline = self._clock.now() + self._timeouts.answer + transfer_time
-            rest, n_bytes, n_frames, is_malformed = b"", 0, 0, False
+            rest, n_bytes, n_frames, n_echoes, is_malformed = b"", 0, 0, 0, False
             while (left := deadline - self._clock.now()) > 0.0:
                 received = self._port.read(left)
                 n_bytes += len(received)
                 candidates, rest = split_frames(rest + received)
                 for frame in filter(None, map(decode_frame, candidates)):
                     n_frames += 1
+                    if encode_frame(frame) == data:  # of an RS-485 adapter: the answer follows it
+                        n_echoes += 1
+                        continue
                     if frame.number != number:
                         continue
                     if (error := parse_error(frame)) is not None:
@@ -191,6 +194,11 @@ class SerialLink(ReopeningLink):
         if is_malformed:
             raise ProtocolError(
                 f"{name} received an answer to {kind} with invalid arguments; see docs/internals/protocol.md"
+            )
+        if n_echoes == n_frames > 0:
+            raise AnswerTimeoutError(
+                f"{name} received its own request and no answer to {kind} {waited}: the line or an RS-485 adapter "
+                "returns all bytes, and the controller is silent; check the wiring, the baud rate and the controller"
             )
         others = f"; {n_frames} other frames arrived" * (n_frames > 0)
         raise AnswerTimeoutError(f"{name} received no answer to {kind} {waited}{others}")

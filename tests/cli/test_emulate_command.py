@@ -66,7 +66,7 @@ def test_libraries_are_imported_only_when_needed() -> None:
         ("serial:///dev/x?timeout_ms=500", "at least 3 times the timeout"),
         ("modbus://", "must name a host"),
         ("modbus://host/path", "no path"),
-        ("modbus://host?unit=300", "1 to 247"),
+        ("modbus://host?unit=300", "0 to 255"),
         ("modbus://host?baud=9600", "no option 'baud'"),
         ("modbus+rtu://?unit=1", "names no port"),
         ("modbus+rtu:///dev/x?poll_ms=900", "twice the poll"),

@@ -193,6 +193,7 @@ def test_an_accepted_move_may_begin_later(link: ScriptedLink, client: Controller
         return RobotState(Mode.IDLE, HOME, True, ack_sequence=1, queue_depth=1, owner=link.session)
 
     link.state = delayed  # type: ignore[method-assign]
+    link.time_to_wait = lambda: 0.0 if left[0] else link.controller.time_to_wait()  # type: ignore[method-assign]
     assert client.move(turned(10), 0.5).axes.tolist() == turned(10)[-1].tolist()
     assert left == [0]
 
