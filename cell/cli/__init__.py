@@ -16,7 +16,7 @@ from contextlib import suppress
 
 from cell import signals
 from cell.cli import execution, inspection, planning, study
-from cell.cli.failures import report_errors
+from cell.cli.failures import report_errors, require_text, use_plain_characters
 from cell.cli.options import add_moved, app
 
 app.add_typer(execution.calibrate_app, name="calibrate")
@@ -35,7 +35,13 @@ def main(argv: list[str] | None = None) -> int:
     atexit.register(gc.freeze)  # without it Python collects once more at exit: 0.25 s
     signals.handle_termination()
     words = sys.argv[1:] if argv is None else argv
-    code = report_errors(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
+    use_plain_characters()
+
+    def run() -> object:
+        require_text(words)
+        return app(args=words, prog_name="cell", standalone_mode=False)
+
+    code = report_errors(run, as_json="--json" in words)
     if code == signals.INTERRUPTED:
         # The interrupt can hit a ray engine while it starts its threads: leave without an orderly shutdown.
         with suppress(OSError):

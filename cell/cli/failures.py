@@ -1,10 +1,13 @@
 """Failures of a command: one sentence on stderr and an exit code; with `--json` also one JSON object on stdout."""
 
+import codecs
+import errno
+import io
 import json
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -54,9 +57,7 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
     except CellError as error:
         return _report(str(error), error.exit_code, as_json)
     except BrokenPipeError:
-        # The reader of stdout closed it (`cell ... | head`); the command is finished and its folder complete.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return _close_stdout()
     except OSError as error:  # of the system: names of more than 255 bytes, permissions, devices
         if (plug_in := _plug_in_of(error)) is not None:
             return _report(*_plug_in_failure(plug_in, error), as_json)
@@ -73,6 +74,9 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
             as_json,
         )
     except (Exception, SystemExit) as error:
+        # The libraries of the terminal end the process when the reader of stdout has closed it.
+        if isinstance(error.__context__, OSError) and error.__context__.errno == errno.EPIPE:
+            return _close_stdout()
         if (plug_in := _plug_in_of(error)) is not None:
             return _report(*_plug_in_failure(plug_in, error), as_json)
         if isinstance(error, SystemExit) or os.environ.get("SCAN_CELL_TRACEBACK"):
@@ -109,6 +113,43 @@ def _plug_in_failure(plug_in: tuple[str, int], error: BaseException) -> tuple[st
     """Return the sentence about a plug-in that raised an error, and its exit code."""
     name, code = plug_in
     return f"{name} failed with {type(error).__name__}: {error}; repair or uninstall its distribution", code
+
+
+def _close_stdout() -> int:
+    """Discard the rest of stdout, whose reader has ended (`cell ... | head`); the command itself is finished."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+_PLAIN = str.maketrans({"²": "2", "³": "3", "°": " deg", "µ": "u", "…": "..."})
+
+
+def use_plain_characters() -> None:
+    """Replace characters that the console's encoding lacks, in place of an error."""
+
+    def plain(error: UnicodeError) -> tuple[str, int]:
+        assert isinstance(error, UnicodeEncodeError)
+        text = error.object[error.start : error.end].translate(_PLAIN)
+        return text.encode("ascii", errors="replace").decode("ascii"), error.end
+
+    codecs.register_error("cell-plain", plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="cell-plain")
+
+
+def require_text(words: Sequence[str]) -> None:
+    """Refuse arguments and a working directory that are not text, before any work: results contain their names.
+
+    Raises:
+        UsageError: with the name, its broken characters replaced.
+    """
+    for word in (*words, str(Path.cwd())):
+        try:
+            word.encode()
+        except UnicodeEncodeError as error:
+            name = word.encode("utf-8", errors="replace").decode()
+            raise UsageError(f"the name '{name}' is not valid UTF-8 text; rename it") from error
 
 
 def _interruption() -> str:

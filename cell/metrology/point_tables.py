@@ -57,7 +57,9 @@ def read_rows(content: bytes) -> tuple[list[Row], list[str]]:
         elif text:
             data.append((number, text.replace('"', "").replace("'", "")))
     every = "\n".join(text for _, text in data)
-    if ";" in every:
+    if ";" in every and re.search(r",\s", every) and not re.search(r",(?!\s)", every):
+        rows = [Row(number, [word.strip() for word in re.split("[;,]", text)]) for number, text in data]
+    elif ";" in every:
         rows = [Row(number, [word.strip() for word in text.rstrip(";").split(";")]) for number, text in data]
     elif "," in every and (not re.search(r",(?!\s)", every) or not re.search(r"[\d.][ \t]+[-+.\d]", every)):
         rows = [Row(number, [word.strip() for word in text.rstrip(",").split(",")]) for number, text in data]

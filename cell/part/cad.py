@@ -6,18 +6,22 @@ independent of the unit of the file, with the number and the surface of the face
 bounding box. Faces are numbered from 1 in the order of the file, as in CAD programs. Object frame, metres, radians.
 """
 
-import os
+import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError
-from cell.part import glb
+from cell.errors import FileError, UsageError
+from cell.part import glb, open_cascade
 from cell.part.mesh_checks import Finding, Kind, Severity, adjacent_faces, double_areas, is_collapsed, label_bodies
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats, Ints, Ints32, Value
@@ -124,21 +128,83 @@ class StepModel:
     findings: tuple[Finding, ...]
 
 
-def read_step(source: str, content: bytes) -> StepModel:
+def read_step(source: str, content: bytes, metres: float | None = None) -> StepModel:
     """Read the solids of a STEP file.
 
     Args:
         source: its name in messages.
         content: of the file.
+        metres: metres in a unit of a file that does not state its unit.
 
     Raises:
+        UsageError: if both the file and the caller state a unit, or neither does.
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
+    if states_unit(content):
+        if metres is not None:
+            raise UsageError(f"{source} states its own unit; omit the units")
+    elif metres is None and b"SHAPE_REPRESENTATION" in content:
+        raise UsageError(f"{source} does not state its unit; give the units: mm, cm, um or in")
+    content, n_hidden = _without_hidden_bodies(content)
     made = _triangulate(source, content)
     try:
-        return _join_solids(list(_bodies(made)))
+        model = _join_solids(list(_bodies(made)))
     except (glb.GlbError, KeyError, TypeError, ValueError) as error:
         raise _broken_file(source) from error
+    if n_hidden:
+        bodies = "1 hidden body is" if n_hidden == 1 else f"{n_hidden} hidden bodies are"
+        note = Finding(Kind.HIDDEN, f"{bodies} left out; show them in the CAD program to measure them", Severity.NOTE)
+        model = replace(model, findings=(note, *model.findings))
+    return model if metres is None else _scaled(model, metres / 1e-3)  # Open CASCADE assumes millimetres
+
+
+_ENTITY = re.compile(rb"#(\d+)\s*=\s*(\w+)\s*\(([^;]*)\)\s*;")
+_REFERENCE = re.compile(rb"#(\d+)")
+
+
+def _without_hidden_bodies(content: bytes) -> tuple[bytes, int]:
+    """Remove bodies that are INVISIBLE, themselves or by their layer, from their representations; return their number.
+
+    Open CASCADE reads hidden bodies like any other.
+    """
+    if b"INVISIBILITY" not in content:
+        return content, 0
+    entities = {number: (kind.upper(), rest) for number, kind, rest in _ENTITY.findall(content)}
+    hidden: set[bytes] = set()
+    for kind, rest in entities.values():
+        todo = _REFERENCE.findall(rest) if kind == b"INVISIBILITY" else []
+        while todo:
+            number = todo.pop()
+            kind_of, inside = entities.get(number, (b"", b""))
+            if kind_of in (b"STYLED_ITEM", b"OVER_RIDING_STYLED_ITEM", b"PRESENTATION_LAYER_ASSIGNMENT"):
+                todo += _REFERENCE.findall(inside)[-1:] if kind_of == b"STYLED_ITEM" else _REFERENCE.findall(inside)
+            elif kind_of.endswith((b"_BREP", b"_SURFACE_MODEL", b"BREP_WITH_VOIDS", b"TESSELLATED_SOLID")):
+                hidden.add(number)
+
+    def visible(match: re.Match[bytes]) -> bytes:
+        number, kind, rest = match[1], match[2], match[3]
+        if not kind.upper().endswith(b"SHAPE_REPRESENTATION"):
+            return match[0]
+        head, opened, items = rest.partition(b"(")
+        listed, closed, tail = items.partition(b")")
+        shown = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in hidden]
+        return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(shown) + closed + tail + b");"
+
+    return _ENTITY.sub(visible, content), len(hidden)
+
+
+def _scaled(model: StepModel, factor: float) -> StepModel:
+    """Return a model with all its lengths multiplied."""
+    faces = tuple(
+        replace(
+            face,
+            point=None if face.point is None else face.point * factor,
+            radius=None if face.radius is None else face.radius * factor,
+            centre_radius=None if face.centre_radius is None else face.centre_radius * factor,
+        )
+        for face in model.cad.faces
+    )
+    return replace(model, vertices=model.vertices * factor, cad=replace(model.cad, faces=faces))
 
 
 def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
@@ -168,42 +234,41 @@ def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Float
 
 def _triangulate(source: str, content: bytes, *, by_face: bool = False) -> bytes:
     """Return the GLB of Open CASCADE: one primitive per body with descriptions of its faces, or one per face."""
-    try:
-        import cascadio  # an optional dependency of 104 MB
-    except ImportError as error:
+    if find_spec("cascadio") is None:  # an optional dependency of 104 MB
         raise FileError(
             f"{source} is a STEP file, which needs cascadio: pip install 'scan-cell[step]', or export a mesh"
-        ) from error
+        )
+    content = content.removeprefix(b"\xef\xbb\xbf")
     if b"ISO-10303-21" not in content[:2000]:
         raise FileError(f"{source} is not a STEP file (ISO 10303-21); export it again")
-    with _muted_output():
-        made: bytes = cascadio.load(
-            content, file_type="step", tol_linear=DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False,
-            include_brep=not by_face, merge_primitives=not by_face,
-        )  # fmt: skip
-    if not made:
+    if b"END-ISO-10303-21" not in content[-2000:]:
+        raise FileError(f"{source} is cut short: it has no END-ISO-10303-21; export or copy it again")
+    with tempfile.TemporaryDirectory() as folder:
+        given, made = Path(folder) / "part.step", Path(folder) / "part.glb"
+        given.write_bytes(content)
+        words = [str(given), str(made), str(DEVIATION_MM), str(TURN_RAD), str(int(by_face))]
+        done = subprocess.run(
+            [sys.executable, str(Path(open_cascade.__file__)), *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            check=False,
+        )
+        if done.returncode or not made.exists():
+            raise FileError(f"{source} makes Open CASCADE fail (exit code {done.returncode}); export it again")
+        found = made.read_bytes()
+    if not found:
         raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
-    return made
+    return found
+
+
+def states_unit(content: bytes) -> bool:
+    """Return whether a STEP file states its unit of length."""
+    return re.search(rb"GLOBAL_UNIT_ASSIGNED_CONTEXT\s*\(", content) is not None and b"LENGTH_UNIT" in content
 
 
 def _broken_file(source: str) -> FileError:
     return FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again")
-
-
-@contextmanager
-def _muted_output() -> Iterator[None]:
-    """Discard the output of Open CASCADE on both streams of the process; stdout is reserved for `--json`."""
-    saved = [(stream, os.dup(stream)) for stream in (1, 2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for stream, _ in saved:
-            os.dup2(nowhere, stream)
-        yield
-    finally:
-        for stream, own in saved:
-            os.dup2(own, stream)
-            os.close(own)
-        os.close(nowhere)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

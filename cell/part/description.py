@@ -10,7 +10,7 @@ from planner.values import Floats
 
 def volume(part: Workpiece) -> float:
     """Return the enclosed volume [m^3]; meaningless for an open surface."""
-    corners = part.reference.vertices[part.reference.faces]
+    corners = part.reference.vertices[part.reference.faces] - part.centre  # far from the origin, digits would cancel
     return float(np.einsum("fj,fj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 

@@ -17,7 +17,10 @@ def own_units(path: str) -> str | None:
 
 
 def units_problem(path: str, units: str | None) -> str:
-    """Return why units must not be given for a file, as a sentence after its name; "" if they can be given."""
-    if units in (None, "m") or PurePath(path).suffix.lower() not in _STATED:
+    """Return why units must not be given for a file, as a sentence after its name; "" if they can be given.
+
+    Whether a STEP file states its unit is known when it is read.
+    """
+    if units in (None, "m") or PurePath(path).suffix.lower() != ".3mf":
         return ""
     return "states its own unit; omit the units"

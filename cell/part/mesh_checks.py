@@ -35,6 +35,7 @@ class Kind(StrEnum):
     NON_MANIFOLD = "non_manifold"
     BODIES = "several_bodies"
     NO_SOLID = "no_solid"
+    HIDDEN = "hidden_bodies"
     UNITS = "units"
     FLAT = "flat"
     FAR = "far_from_origin"
@@ -112,7 +113,8 @@ def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
         sentence = "the surface has only one side (like a Moebius strip), so inside and outside are arbitrary on it"
         findings.append(Finding(Kind.ONE_SIDED, sentence, Severity.WARNING))
 
-    open_edges, crowded_edges = int((uses == 1).sum()), int((uses > 2).sum())
+    open_edges = int((uses == 1).sum())
+    crowded_edges = round(float((1 / uses[uses > 2]).sum()))  # an edge of n faces occurs n times
     rim_of = np.zeros(n_bodies, bool)
     rim_of[body[(uses != 2).reshape(3, len(faces)).any(axis=0)]] = True
     volume = _body_volumes(vertices, faces, body, n_bodies)

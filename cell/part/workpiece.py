@@ -82,11 +82,11 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     Args:
         source: a mesh file (.stl, .obj, .ply, .off, .glb, .gltf, .3mf), a STEP file (.stp, .step) or the name of a
             built-in part.
-        units: unit of the file: m, cm, mm, um or in. It is never guessed; None for a built-in part, STEP and 3MF, and
-            for glTF in metres.
+        units: unit of the file: m, cm, mm, um or in. It is never guessed; None for a built-in part and 3MF, for glTF in
+            metres, and for a STEP file that states its unit.
 
     Raises:
-        UsageError: if the units are missing, unknown, or given for a built-in part or a STEP file.
+        UsageError: if the units are missing, unknown, or given although the file states them.
         FileError: if the file cannot be used.
     """
     if isinstance(source, str) and source in builtin.NAMES:
@@ -106,7 +106,8 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     if path.suffix.lower() in STEP:
         from cell.part import cad as step
 
-        solids = step.read_step(str(path), content)
+        solids = step.read_step(str(path), content, None if units == "m" else UNITS[units])
+        units = "m"
         merged = mesh_files.check_mesh(str(path), solids.vertices, solids.faces)
         part = from_mesh(path.stem, *merged, units, sha256, solids.cad)
         return replace(part, findings=(*solids.findings, *part.findings))

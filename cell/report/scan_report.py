@@ -13,7 +13,7 @@ from cell.formatting import percent
 from cell.report.setups_report import shared_surface
 from cell.runs.schema import ExecutedDeviation, ExecutedRegion, ExecutionReport, ScannedSetups
 from planner.geometry.mesh import TriangleMesh
-from planner.registration.surface import Deviation
+from planner.registration.surface import EDGE_BAND, Deviation
 
 _COARSE = 0.02  # of the part's diagonal: a surface that extends farther from its points is called interpolated
 
@@ -219,6 +219,15 @@ def _surface(report: ExecutionReport) -> list[str]:
         ("95 % of the area within", f"{deviation.quantile_95_mm:.4f}"),
         ("largest", f"{deviation.max_mm:.4f}"),
     ]
+    if (edges := deviation.with_edges) is not None and model.spacing_mm is not None:
+        rows += [
+            ("root mean square, with edges", f"{edges.rms_mm:.4f}"),
+            ("largest, with edges", f"{edges.max_mm:.4f}"),
+        ]
+        holes += (
+            f" A surface from points rounds sharp edges: the numbers leave out {percent(deviation.edge_share)} of the "
+            f"area, within {EDGE_BAND * model.spacing_mm:.3g} mm of an edge of more than 30 deg."
+        )
     return [
         "## Surface",
         "",

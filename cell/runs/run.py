@@ -254,7 +254,7 @@ class Run(ArtefactFolder):
     def proven_clearance(self) -> float:
         """Smallest proven lower bound on the clearance of the motion [m]; inf if none was measured."""
         with reading(self.folder / "motion.npz"):
-            proven = np.asarray(self.arrays("motion.npz")["clearance_at_least"], dtype=np.float64)
+            proven = np.asarray(self.arrays("motion.npz")["clearance_lower_bound"], dtype=np.float64)
             return float(np.min(proven[np.isfinite(proven)], initial=np.inf))
 
     @cached_property

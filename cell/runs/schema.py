@@ -862,11 +862,15 @@ class SurfaceDeviation(JsonTable):
 
 
 class ExecutedDeviation(SurfaceDeviation):
-    """Deviation of the measured area of the mesh."""
+    """Deviation of the measured area of the mesh, without a band of 1.5 point spacings about sharp edges."""
 
     closed_holes: SurfaceDeviation | None = Field(
         description="deviation of the faces that close holes; null without any"
     )
+    with_edges: SurfaceDeviation | None = Field(
+        default=None, description="with the band about sharp edges; null if the other numbers include it"
+    )
+    edge_share: float = Field(default=0.0, description="share of the area in the band about sharp edges")
 
 
 class ExecutedMotion(JsonTable):

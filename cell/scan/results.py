@@ -67,7 +67,7 @@ from planner.registration.cloud import PointCloud, ScanCloud, merge, point_spaci
 from planner.registration.localisation import SearchRange, fit_surface
 from planner.registration.observability import RigidFit, describe
 from planner.registration.registration import Registration, register
-from planner.registration.surface import Deviation, measure_deviation
+from planner.registration.surface import EDGE_BAND, Deviation, measure_deviation
 from planner.values import Bools, Floats
 
 DETERMINED = 5e-5
@@ -216,7 +216,10 @@ def _measure(
             folder.remove("mesh.ply")
         else:
             rng, count = random_stream(seed, Stream.DEVIATION_SAMPLES), session.effort.deviation_samples
-            deviation = measure_deviation(surface.mesh, nearest, rng, closed=surface.closed, count=count)
+            band = EDGE_BAND * surface.spacing
+            deviation = measure_deviation(
+                surface.mesh, nearest, rng, closed=surface.closed, count=count, edge_band=band
+            )
             mesh = point_files.mesh_ply(surface.mesh, surface.closed, deviation.at_vertices, source)
             folder.write_bytes("mesh.ply", mesh)
     return ExecutionResults(scans, unusable, merged, achieved, surface, deviation, doubts)
@@ -662,7 +665,13 @@ def surface_values(reference: TriangleMesh, surface: Reconstruction) -> Executed
 def deviation_values(deviation: Deviation) -> ExecutedDeviation:
     """Return the numbers of a deviation."""
     closed = None if deviation.closed is None else SurfaceDeviation(**_deviation_numbers(deviation.closed))
-    return ExecutedDeviation(**_deviation_numbers(deviation), closed_holes=closed)
+    with_edges = deviation.with_edges and SurfaceDeviation(**_deviation_numbers(deviation.with_edges))
+    return ExecutedDeviation(
+        **_deviation_numbers(deviation),
+        closed_holes=closed,
+        with_edges=with_edges,
+        edge_share=round(deviation.edge_share, 6),
+    )
 
 
 def _deviation_numbers(deviation: Deviation) -> dict[str, float]:

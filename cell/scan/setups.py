@@ -54,7 +54,7 @@ from planner.measurability.visibility import find_measured
 from planner.registration.cloud import PointCloud
 from planner.registration.localisation import SearchRange
 from planner.registration.registration import Registration, register
-from planner.registration.surface import measure_deviation
+from planner.registration.surface import EDGE_BAND, measure_deviation
 from planner.values import Bools, Floats
 
 COMBINED = "scanned"
@@ -336,7 +336,10 @@ def _write_combined(
     with session.stage("measure"):
         if surface.mesh is not None:
             rng, count = random_stream(first.run.seed, Stream.DEVIATION_SAMPLES), session.effort.deviation_samples
-            deviation = measure_deviation(surface.mesh, nearest, rng, closed=surface.closed, count=count)
+            band = EDGE_BAND * surface.spacing
+            deviation = measure_deviation(
+                surface.mesh, nearest, rng, closed=surface.closed, count=count, edge_band=band
+            )
             mesh = point_files.mesh_ply(surface.mesh, surface.closed, deviation.at_vertices, source)
             folder.write_bytes("mesh.ply", mesh)
             scan_report.draw_deviation(folder.path / "deviation.png", surface.mesh, deviation, source)

@@ -13,6 +13,8 @@ assumption about an unmeasured region; the fan may cut through the part where th
 Deviation: the deviation of a point of a mesh is its distance to the closest point of the reference, positive outside
 the part. Rms, mean and the 95 % quantile are over area-weighted samples of the mesh, so that many small faces count no
 more than their area; the largest deviation is over samples and vertices. Faces that close holes have separate numbers.
+A surface from points rounds sharp edges of the part, whatever the scanner's error. So the numbers leave out a band
+about these edges whose width follows from the spacing of the points; the numbers with the band are stated beside them.
 Missing surface does not show here: that is coverage. Object frame, metres.
 """
 
@@ -163,6 +165,12 @@ def close_holes(mesh: TriangleMesh, *, close: bool) -> tuple[TriangleMesh, NDArr
 
 _BINS = 40
 
+EDGE_BAND = 1.5
+"""Half width of the band about sharp edges, in spacings of the points."""
+
+_SHARP_EDGE = np.cos(np.radians(30.0))  # cosine of the angle between the normals of the faces at a sharp edge
+_MAX_EDGE_POINTS = 2_000_000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deviation(Value):
@@ -178,6 +186,9 @@ class Deviation(Value):
         bin_edges: (B + 1,) [m], symmetric about zero.
         sample_count: number of area samples.
         closed: the same numbers for the faces that close holes; None without such faces.
+        with_edges: the same numbers with the band about sharp edges; None if no sample is in the band, or all are: then
+            these numbers include it.
+        edge_share: share of the area in the band.
     """
 
     at_vertices: Annotated[Floats, "V"]
@@ -189,6 +200,8 @@ class Deviation(Value):
     bin_edges: Annotated[Floats, "B+1"]
     sample_count: int
     closed: "Deviation | None" = None
+    with_edges: "Deviation | None" = None
+    edge_share: float = 0.0
 
 
 def measure_deviation(
@@ -198,6 +211,7 @@ def measure_deviation(
     *,
     closed: NDArray[np.bool_] | None = None,
     count: int = 100_000,
+    edge_band: float = 0.0,
 ) -> Deviation:
     """Measure a reconstructed mesh against the reference part.
 
@@ -207,6 +221,7 @@ def measure_deviation(
         rng: of the samples.
         closed: (F,) True for faces that close a hole.
         count: number of area-weighted samples, > 0; the closing faces get a tenth of it.
+        edge_band: half width of the band about sharp edges of the reference that is left out [m]; 0 leaves out nothing.
     """
     nearest = reference if isinstance(reference, ClosestPointQuery) else ClosestPointQuery(reference)
     surfaces, counts = [mesh], [count]
@@ -216,12 +231,54 @@ def measure_deviation(
     samples = [sample_by_area(surface, n, rng) for surface, n in zip(surfaces, counts, strict=True)]
     signed = nearest.signed_distance(np.concatenate([mesh.vertices, *samples]))
     at_vertices, *over_area = np.split(signed, np.cumsum([len(mesh.vertices), *counts])[:-1])
-    parts = [_statistics(surface, at_vertices, at) for surface, at in zip(surfaces, over_area, strict=True)]
-    return replace(parts[0], closed=parts[1]) if len(parts) > 1 else parts[0]
+    used = [np.unique(surface.faces) for surface in surfaces]
+    parts = [_statistics(at_vertices, at_vertices[own], at) for own, at in zip(used, over_area, strict=True)]
+    result = replace(parts[0], closed=parts[1]) if len(parts) > 1 else parts[0]
+    edges = sharp_edge_points(nearest.mesh, edge_band / 2) if edge_band > 0 else np.zeros((0, 3))
+    if not len(edges):
+        return result
+    distance, _ = cKDTree(edges).query(np.concatenate([samples[0], mesh.vertices[used[0]]]), workers=-1)
+    inner, inner_vertices = np.split(distance > edge_band, [count])
+    if inner.all() or not inner.any():
+        return result
+    without = _statistics(at_vertices, at_vertices[used[0]][inner_vertices], over_area[0][inner])
+    return replace(without, closed=result.closed, with_edges=parts[0], edge_share=float(1 - inner.mean()))
 
 
-def _statistics(surface: TriangleMesh, at_vertices: Floats, over_area: Floats) -> Deviation:
-    """Compute statistics from the deviation of the vertices (V,) and of the area samples (S,) [m]."""
+def sharp_edge_points(mesh: TriangleMesh, spacing: float) -> Floats:
+    """Return points (N, 3) along the edges where faces meet at more than 30 deg, or that belong to one face.
+
+    Args:
+        mesh: with equal vertices merged.
+        spacing: largest distance of adjacent points on an edge [m]; larger if the mesh has very long edges.
+    """
+    sides = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
+    key = sides[:, 0].astype(np.int64) * len(mesh.vertices) + sides[:, 1]
+    order = np.argsort(key, kind="stable")
+    begins = np.flatnonzero(np.append(True, np.diff(key[order]) != 0))
+    uses = np.diff(np.append(begins, len(order)))
+    normals = mesh.normals[np.tile(np.arange(len(mesh.faces)), 3)[order]]
+    following = np.minimum(begins + 1, len(order) - 1)
+    flat = (uses == 2) & (np.einsum("ej,ej->e", normals[begins], normals[following]) > _SHARP_EDGE)
+    ends = mesh.vertices[sides[order[begins[~flat]]]]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    spacing = max(spacing, float(length.sum()) / _MAX_EDGE_POINTS)
+    counts = np.ceil(length / spacing).astype(np.int64) + 1
+    edge = np.repeat(np.arange(len(ends)), counts)
+    step = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (step / np.maximum(counts - 1, 1)[edge])[:, None]
+    points: Floats = ends[edge, 0] * (1 - share) + ends[edge, 1] * share
+    return points
+
+
+def _statistics(at_vertices: Floats, own_vertices: Floats, over_area: Floats) -> Deviation:
+    """Compute statistics from the deviation of the measured vertices and of the area samples (S,) [m].
+
+    Args:
+        at_vertices: (V,) of all vertices.
+        own_vertices: of the vertices that count.
+        over_area: (S,) of the samples that count.
+    """
     quantile = float(np.quantile(np.abs(over_area), 0.95))
     limit = 1.5 * quantile if quantile > 0 else 1e-9  # a mesh that is exactly the reference still needs bins
     edges = np.linspace(-limit, limit, _BINS + 1)
@@ -231,7 +288,7 @@ def _statistics(surface: TriangleMesh, at_vertices: Floats, over_area: Floats) -
         rms=float(np.sqrt(np.mean(over_area**2))),
         mean=float(over_area.mean()),
         quantile_95=quantile,
-        largest=float(max(np.abs(over_area).max(), np.abs(at_vertices[np.unique(surface.faces)]).max())),
+        largest=float(max(np.abs(over_area).max(), np.abs(own_vertices).max(initial=0.0))),
         histogram=counts / len(over_area),
         bin_edges=edges,
         sample_count=len(over_area),

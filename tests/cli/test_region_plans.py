@@ -129,8 +129,8 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: RunComman
 @pytest.mark.parametrize(
     ("limit", "exit_code", "output"),
     [
-        ("max_spacing_mm = 0.1", 2, "'top' demands points at most 0.1 mm apart, and generic-area-medium"),
-        ("max_sigma_mm = 0.00001", 4, "'top' takes a sigma of at most 1e-05 mm"),
+        ("max_spacing_mm = 0.1", 2, "'top' requires points at most 0.1 mm apart, and generic-area-medium"),
+        ("max_sigma_mm = 0.00001", 4, "a sigma of at most 1e-05 mm"),
     ],
 )
 def test_unattainable_limits_of_a_region_are_refused(

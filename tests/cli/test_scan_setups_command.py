@@ -142,7 +142,7 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     assert json.loads(done.stdout)["missing_setups"] == [2]
     assert not (folder / "setups" / "2" / "executions").exists()
     done = run_cell("scan", "made", "--resume", "latest", cwd=beside, code=2)
-    assert "files:points has the points of set-up 1; start with cell scan made --setup 2" in done.stderr
+    assert "files:points has the points of set-up 1; run cell scan made --setup 2" in done.stderr
 
 
 def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: RunCommand) -> None:

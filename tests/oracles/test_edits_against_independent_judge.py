@@ -39,7 +39,7 @@ def test_random_edits(seed: int, run: Run, judge: EditJudge, tmp_path: Path) -> 
     requests = random_edit(np.random.default_rng(seed), run)
     made, refusal = None, None
     try:
-        made = edit(run, out=tmp_path / "edited", **requests.wishes)
+        made = edit(run, out=tmp_path / "edited", **requests.options)
     except CellError as error:
         refusal = error
     if made is None:
@@ -58,7 +58,7 @@ def test_the_judge_finds_errors(run: Run, judge: EditJudge, tmp_path: Path) -> N
     kept, away = RandomEdit({}), np.eye(4)
     assert any("lost" in each for each in judge.accepted(run, kept, made))
     turned = replace(kept, poses={"view 2": run.T_base_scanner[1] @ np.diag([-1.0, -1.0, 1.0, 1.0])})
-    assert any("from where it was asked for" in each for each in judge.accepted(run, turned, made)[:1])
+    assert any("from the requested position" in each for each in judge.accepted(run, turned, made)[:1])
     away[:3, 3] = 9.0
     for output, pose, found in (
         ("is out of the arm's reach", run.T_base_scanner[1], "solutions"),

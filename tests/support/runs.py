@@ -36,8 +36,7 @@ def ball_cell(scanner: Any) -> RunCell:
     away = TriangleMesh(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
     scene: Any = SimpleNamespace(
         T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10, speed_scaling=1,
-        table_is_endless=False,
-        path_tolerance_mm=None,
+        table_is_endless=False, path_tolerance_mm=None,
     )  # fmt: skip
     casters = (EmbreeRayCaster(each.vertices, each.faces) for each in (mesh, away))
     return RunCell(

@@ -6,7 +6,7 @@ import trimesh
 
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.registration.surface import measure_deviation, sample_by_area
+from planner.registration.surface import measure_deviation, sample_by_area, sharp_edge_points
 
 BOX = trimesh.creation.box((0.1, 0.1, 0.1))
 REFERENCE = TriangleMesh(BOX.vertices, BOX.faces)
@@ -74,3 +74,31 @@ def test_no_samples_and_no_area_are_refused() -> None:
     line = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
     with pytest.raises(PlannerError, match="no area"):
         sample_by_area(line, 10, np.random.default_rng(0))
+
+
+def test_rounded_edges_are_left_out_of_the_numbers_and_stated_beside_them() -> None:
+    """A box whose edges are cut by 2 mm deviates there only: not at all without a band of 4 mm."""
+    vertices = trimesh.creation.box((0.1, 0.1, 0.1)).vertices
+    cut = np.concatenate([vertices * np.where(np.arange(3) == axis, 1, 1 - 0.04) for axis in range(3)])
+    hull = trimesh.convex.convex_hull(cut)
+    mesh = TriangleMesh(np.asarray(hull.vertices), np.asarray(hull.faces))
+    result = measure_deviation(mesh, REFERENCE, np.random.default_rng(4), count=20_000, edge_band=0.004)
+    assert (result.rms, result.largest) == pytest.approx((0, 0), abs=1e-12)
+    assert result.with_edges is not None
+    assert result.with_edges.largest == pytest.approx(0.002 / np.sqrt(3) * 2 / 2, rel=0.5)
+    assert result.with_edges.rms > 1e-4
+    # Six squares of 92 mm are outside of the band; the band has the rest of the surface of the cut box.
+    assert result.edge_share == pytest.approx(1 - 6 * 0.092**2 / hull.area, abs=0.005)
+    everywhere = measure_deviation(mesh, REFERENCE, np.random.default_rng(4), count=20_000, edge_band=0.2)
+    assert everywhere.with_edges is None
+    assert everywhere.rms == pytest.approx(result.with_edges.rms)
+
+
+def test_points_of_sharp_edges_are_those_of_a_box_and_none_of_a_sphere() -> None:
+    """A box has 12 sharp edges; the diagonals of its faces and a finely divided sphere have none."""
+    points = sharp_edge_points(REFERENCE, 0.001)
+    at_border = np.isclose(np.abs(points), 0.05).sum(axis=1)
+    assert (at_border >= 2).all()
+    assert len(points) == 12 * 101
+    ball = trimesh.creation.icosphere(3)
+    assert len(sharp_edge_points(TriangleMesh(ball.vertices, ball.faces), 0.001)) == 0

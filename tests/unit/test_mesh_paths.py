@@ -45,7 +45,7 @@ def test_a_run_records_the_hashes_of_the_meshes(urdf: Path) -> None:
     """A changed mesh has another hash, which a scan compares. The built-in robot has no meshes."""
     scene = load_scene(None, {"robot": {"model": str(urdf)}})
     before = named_files(scene, None)
-    assert [each.what for each in before] == ["robot"] * 3
+    assert [each.role for each in before] == ["robot"] * 3
     urdf.with_name("b.stl").write_bytes(b"another")
     after = named_files(scene, None)
     assert [a.sha256 == b.sha256 for a, b in zip(before, after, strict=True)] == [True, True, False]

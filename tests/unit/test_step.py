@@ -1,13 +1,14 @@
 """STEP files: units, solids, faces with kind and parameters, and the face of each triangle."""
 
 import math
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cell.errors import CellError, FileError, UsageError
+from cell.errors import FileError, UsageError
 from cell.part.cad import DEVIATION_MM, CadFace, SurfaceKind, cad_face
 from cell.part.description import volume
 from cell.part.mesh_checks import Kind
@@ -111,7 +112,7 @@ def test_surfaces_alone_are_used_and_reported_as_open(tmp_path: Path) -> None:
     [
         ("solid x\n", "is not a STEP file"),
         ("ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "no surface"),
-        (bored_block()[:3000], "no surface"),
+        (bored_block()[:3000], "is cut short"),
     ],
     ids=["another format", "empty", "cut short"],
 )
@@ -132,13 +133,58 @@ def test_without_cascadio_the_message_names_the_package(tmp_path: Path, monkeypa
 
 
 def test_units_are_the_files(tmp_path: Path) -> None:
-    """Units for a STEP file are refused by the part and by the scene. The scene sets metres by itself."""
+    """Units for a STEP file that states its unit are refused. The scene sets metres by itself."""
     path = written(tmp_path, bored_block())
     with pytest.raises(UsageError, match="states its own unit"):
         load(path, "mm")
-    with pytest.raises(CellError, match="states its own unit"):
-        load_scene(None, {"part": {"path": str(path), "units": "in"}})
     assert load_scene(None, {"part": {"path": str(path)}}).part.units == "m"
+
+
+@needs_cascadio
+def test_a_file_without_a_unit_asks_for_it(tmp_path: Path) -> None:
+    """Its numbers are read in the given unit, faces included."""
+    text = re.sub(r"GLOBAL_UNIT_ASSIGNED_CONTEXT\(\([^)]*\)\)", "", bored_block())
+    path = written(tmp_path, text)
+    with pytest.raises(UsageError, match="does not state its unit; give the units"):
+        load(path)
+    part = load(path, "in")
+    assert part.size == pytest.approx(np.array([60, 40, 30]) * 0.0254, rel=1e-6)
+    bore = next(face for face in part.cad.faces if face.kind is SurfaceKind.CYLINDER)
+    assert bore.radius == pytest.approx(8 * 0.0254, rel=1e-9)
+    check_faces(part)
+
+
+@needs_cascadio
+def test_a_byte_order_mark_is_no_part_of_the_file(tmp_path: Path) -> None:
+    """A mark of UTF-8 before the file changes nothing."""
+    assert load(written(tmp_path, "\ufeff" + bored_block())).cad.counts() == {"plane": 6, "cylinder": 1}
+
+
+@needs_cascadio
+@pytest.mark.parametrize("by_layer", [False, True])
+def test_hidden_bodies_are_left_out_and_reported(tmp_path: Path, by_layer: bool) -> None:
+    """A solid that the CAD program hides, itself or by its layer, is not measured."""
+    made = StepFile()
+    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    made.block((80, 0, 0), (100, 20, 20), None)
+    hidden = made.solids[1]
+    item = made.add(f"STYLED_ITEM('',(),{hidden})")
+    if by_layer:
+        item = made.add(f"PRESENTATION_LAYER_ASSIGNMENT('off','',({item}))")
+    made.add(f"INVISIBILITY(({item}))")
+    part = load(written(tmp_path, made.text()))
+    assert part.size == pytest.approx([0.06, 0.04, 0.03], abs=1e-7)
+    assert "1 hidden body is left out" in part.findings[0].sentence
+
+
+@needs_cascadio
+def test_a_file_that_crashes_open_cascade_is_refused(tmp_path: Path) -> None:
+    """The crash ends a child process only."""
+    text = bored_block().replace(
+        "ENDSEC;\nEND-ISO", "#99999=POINT(" + "(" * 500_000 + ")" * 500_000 + ");\nENDSEC;\nEND-ISO"
+    )
+    with pytest.raises(FileError, match=r"makes Open CASCADE fail|no surface"):
+        load(written(tmp_path, text))
 
 
 def test_faces_are_placed_by_their_node() -> None:

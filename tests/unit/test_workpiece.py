@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from cell.errors import CellError, FileError, UsageError
+from cell.part.description import volume as described_volume
 from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
 from cell.scene.model import Scene
 
@@ -407,3 +408,18 @@ def test_a_glb_without_units_is_in_metres(tmp_path: Path) -> None:
         {"part": {"path": str(path)}, "fixtures": [vice, {**vice, "name": "two", "units": "in"}]}
     )
     assert [scene.part.units, *(fixture.units for fixture in scene.fixtures)] == ["m", "m", "in"]
+
+
+def test_the_volume_of_a_part_far_from_its_origin_keeps_its_digits(tmp_path: Path) -> None:
+    """A part 10 km from the origin of its file has the volume of the same part at the origin."""
+    far = body()
+    far.vertices += [1e7, -1e7, 1e7]
+    part = from_mesh("far", np.array(far.vertices), np.array(far.faces), "mm", "")
+    assert described_volume(part) == pytest.approx(body().volume * 1e-9, rel=1e-6)
+
+
+def test_an_edge_of_three_faces_is_counted_once() -> None:
+    """The finding counts edges, not their occurrences in faces."""
+    vertices = np.array([[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, -100, 0], [0, 0, 100]], dtype=np.float64)
+    part = from_mesh("fan", vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]), "mm", "")
+    assert any(finding.sentence.startswith("1 edge belongs to more than two faces") for finding in part.findings)
