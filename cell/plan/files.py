@@ -44,6 +44,8 @@ from cell.runs.schema import (
     ResolvedScene,
     ScannerKeys,
 )
+from cell.scene.fields import Table
+from cell.scene.file import load_scene
 from cell.scene.model import MeshFixture, Scene, with_rest
 from cell.scene.settle import SettledScene
 from cell.world.clearance import MotionClearance
@@ -92,6 +94,26 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
         NamedFile(role=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
         for what, path in found
     )
+
+
+def overridden_keys(scene: Scene, path: Path | None) -> tuple[str, ...]:
+    """Return the keys of a scene that differ from its file, such as "placement.position_mm", in the order of the scene.
+
+    Keys of `[plan]` and `[picture]` are left out: no verification depends on them.
+
+    Args:
+        scene: with the options of the command.
+        path: the scene file; None: the built-in scene.
+    """
+    stated, keys = load_scene(path), list[str]()
+    for name in Scene.model_fields:
+        one, other = getattr(scene, name), getattr(stated, name)
+        if isinstance(one, Table) and name not in ("plan", "picture"):
+            fields = type(one).model_fields
+            keys += [f"{name}.{key}" for key in fields if getattr(one, key) != getattr(other, key)]
+        elif not isinstance(one, Table) and one != other:
+            keys.append(name)
+    return tuple(keys)
 
 
 def _robot_files(scene: Scene) -> list[Path]:

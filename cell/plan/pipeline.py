@@ -166,7 +166,8 @@ def open_run(
         run = OpenRun(session.opened(folder, scene.plan.seed, queue), settled)
         with folder.keep_on_failure(), _logged(folder.path / "run.log"):
             files.write_scene(folder, session.origin.scene_path)
-            folder.named(files.named_files(settled.scene, session.origin.scene_path))
+            path = session.origin.scene_path
+            folder.named(files.named_files(settled.scene, path), files.overridden_keys(scene, path))
             yield run
             if (folder.path / "plan.json").is_file():  # each of several set-ups has a folder and digest of its own
                 folder.seal()

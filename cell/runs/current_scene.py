@@ -1,10 +1,12 @@
 """Compare the user's current files with the cell that was planned.
 
 A plan depends on its run folder alone. If the scene file or the part's mesh changed after planning, the user may mean
-another cell than the verified one. Therefore the files named in the manifest, or those given instead, are read
-again before anything is driven. Each difference has a name: `part`, `placement`, `mount`, `housing`, `post`,
-`pedestal`, `robot`, `table`, `fixture:NAME`; `scene` if the file cannot be read; `missing` for deleted files. The
-built-in robot always comes from this version (`cell.runs.verification`), so a difference there is never accepted.
+another cell than the verified one; if the folder was changed, it describes another cell than the files. Therefore the
+files named in the manifest, or those given instead, are read again before anything is driven, also if they are
+unchanged; without a scene file, the built-in scene. Keys that options replaced (`overrides` of the manifest) are not
+compared. Each difference has a name: `part`, `placement`, `mount`, `housing`, `post`, `pedestal`, `robot`, `limits`,
+`speed`, `table`, `fixture:NAME`; `scene` if the file cannot be read; `missing` for deleted files. The built-in robot
+always comes from this version (`cell.runs.verification`), so a difference there is never accepted.
 """
 
 import tomllib
@@ -14,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import CellError, FileError, SceneError
-from cell.part import workpiece
+from cell.part import builtin, workpiece
+from cell.robot import model as robot
 from cell.robot.model import KR16
 from cell.runs.cell import scene_of_run
 from cell.runs.current_files import CurrentFiles
@@ -26,6 +29,7 @@ from cell.session import ProgressReporter
 from cell.world.shapes import fixture_mesh
 from cell.world.table import place_table
 from planner.geometry.mesh import TriangleMesh
+from planner.ports import ARM_AXES
 
 MISSING = "missing"
 """Name that accepts missing files."""
@@ -38,9 +42,22 @@ _TABLES = {
     "post": ("post", "robot"),
     "pedestal": ("robot",),
     "robot": ("robot",),
+    "limits": ("robot",),
+    "speed": ("robot",),
     "table": ("table",),
 }
 """Tables of the scene file that define each object."""
+
+_KEYS = {
+    **_TABLES,
+    "post": ("post", "robot.pedestal"),
+    "pedestal": ("robot.pedestal",),
+    "robot": ("robot.model", "robot.base"),
+    "limits": ("robot.velocity", "robot.acceleration_deg", "robot.jerk"),
+    "speed": ("robot.speed", "robot.acceleration_scaling"),
+    "table": ("table", "placement"),
+}
+"""Beginnings of the keys that define each object."""
 
 
 def require_current_scene(
@@ -82,20 +99,24 @@ def _differences(verified: VerifiedPlan, now: CurrentFiles, gone: list[str]) -> 
         sha = sha256_of(path)
         if not sha:
             gone.append(named.path)
+        elif named.role == "part":
+            yield from _part(verified, named.path)
         elif sha == named.sha256:
             continue
         elif named.role == "scene":
             scene, changed = path, _changed_tables(verified, path)
             if changed and "setup" in changed:
                 yield "placement", f"the [[setup]] tables of {path} were changed"
-        elif named.role == "part":
-            yield from _part(verified, named.path)
         elif named.role == "robot":
             yield "robot", f"the robot's file {path} was changed"
         else:
             yield named.role, f"the mesh {path} of the fixture '{named.role.partition(':')[2]}' was changed"
     if now.part is not None:
         yield from _part(verified, now.part)
+    elif verified.scene.part.name in builtin.NAMES and verified.scene.part.units is None:
+        yield from _part(verified, verified.scene.part.name)
+    if scene is None and not gone:
+        yield from _unchanged_scene(verified)
     if scene is not None:
         try:
             described = load_scene(scene)
@@ -114,8 +135,25 @@ def _part(verified: VerifiedPlan, source: str) -> Iterator[tuple[str, str]]:
     except CellError as error:
         yield "part", str(error)
         return
-    if part.sha256 != verified.scene.part.sha256 and not _same_mesh(part.reference, verified.run.mesh("reference.ply")):
+    if not _same_mesh(part.reference, verified.run.mesh("reference.ply")):
         yield "part", f"the part {source} has another surface than the planned part"
+
+
+def _unchanged_scene(verified: VerifiedPlan) -> Iterator[tuple[str, str]]:
+    """Yield the differences of the plan from its unchanged scene file, or from the built-in scene."""
+    overrides = verified.run.manifest.overrides
+    if overrides is None:  # of an earlier version
+        return
+    paths = [Path(named.path) for named in verified.run.manifest.files if named.role == "scene"]
+    try:
+        described = load_scene(paths[0] if paths else None)
+    except CellError as error:
+        yield "scene", " ".join(str(error).split())
+        return
+    skipped = {
+        name for name, keys in _KEYS.items() if any(key.startswith(begin) for key in overrides for begin in keys)
+    }
+    yield from _scene(verified, described, None, {*skipped, *({"fixtures"} & {*overrides})})
 
 
 def _changed_tables(verified: VerifiedPlan, path: Path) -> set[str] | None:
@@ -128,7 +166,9 @@ def _changed_tables(verified: VerifiedPlan, path: Path) -> set[str] | None:
     return {table for table in {*then, *now} if then.get(table) != now.get(table)}
 
 
-def _scene(verified: VerifiedPlan, now: Scene, changed: Collection[str] | None) -> Iterator[tuple[str, str]]:
+def _scene(
+    verified: VerifiedPlan, now: Scene, changed: Collection[str] | None, skipped: Collection[str] = ()
+) -> Iterator[tuple[str, str]]:
     """Yield the differences between a scene and the plan.
 
     Args:
@@ -136,6 +176,7 @@ def _scene(verified: VerifiedPlan, now: Scene, changed: Collection[str] | None) 
         now: the current scene.
         changed: tables of the scene file to compare; None means all. Unchanged tables are skipped, because the plan may
             use values from the command line instead of the file.
+        skipped: names that are not compared.
     """
     then, planned = verified.scene, scene_of_run(verified.run)
     now = _scanner_as_planned(now, planned)
@@ -152,13 +193,18 @@ def _scene(verified: VerifiedPlan, now: Scene, changed: Collection[str] | None) 
         ),
         "pedestal": (_pedestal(now), _pedestal(planned)),
         "robot": ([now.robot.T_base, _named(verified, now)], [planned.robot.T_base, True]),
+        "limits": (_limits(verified, now), _limits(verified, planned)),
+        "speed": (
+            [now.robot.speed_scaling, now.robot.acceleration_scaling],
+            [then.speed_scaling, then.acceleration_scaling],
+        ),
         "table": (_table(verified, now), _table(verified, planned)),
     }
     for name, (one, other) in values.items():
         looked_at = changed is None or any(table in changed for table in _TABLES[name])
-        if looked_at and not _close(one, other):
-            yield name, f"the {name} differs from the plan"
-    if changed is not None and "fixtures" not in changed:
+        if looked_at and name not in skipped and not _close(one, other):
+            yield name, f"the {name} {'differ' if name == 'limits' else 'differs'} from the plan"
+    if "fixtures" in skipped or (changed is not None and "fixtures" not in changed):
         return
     here, there = ({fixture.name: fixture for fixture in scene.fixtures} for scene in (now, planned))
     for name in sorted({*here, *there}):
@@ -206,6 +252,16 @@ def _table(verified: VerifiedPlan, scene: Scene) -> list[object]:
     return [table.T_base_table, [*size, indexed], [table.lower, table.upper, *rates]]
 
 
+def _limits(verified: VerifiedPlan, scene: Scene) -> list[object]:
+    """Return speeds, accelerations and jerks of the arm [deg]; -1 for a jerk without limit."""
+    keys = scene.robot
+    limits = robot.override_limits(
+        robot.limits(verified.world.model), keys.velocity_deg_s, keys.acceleration_deg_s2, keys.jerk_deg_s3
+    )
+    jerk = np.where(np.isfinite(limits.jerk), limits.jerk, np.radians(-1.0))
+    return [np.degrees(each[:ARM_AXES]) for each in (limits.velocity, limits.acceleration, jerk)]
+
+
 def _named(verified: VerifiedPlan, scene: Scene) -> bool:
     """Return whether a scene names the robot of the plan."""
     planned = verified.scene.robot.name if verified.scene.robot is not None else KR16
@@ -222,7 +278,10 @@ def _same_fixture(one: Fixture, other: Fixture) -> bool:
     if (one.shape, one.attached_to) != (other.shape, other.attached_to):
         return False
     if isinstance(one, MeshFixture) and isinstance(other, MeshFixture):
-        return _same_mesh(fixture_mesh(one), fixture_mesh(other))
+        try:
+            return _same_mesh(fixture_mesh(one), fixture_mesh(other))
+        except CellError:  # a file that cannot be read is not the planned one
+            return False
     assert not isinstance(one, MeshFixture)
     assert not isinstance(other, MeshFixture)
     sizes = [np.asarray(fixture.size_mm) for fixture in (one, other)]

@@ -162,10 +162,9 @@ class RunFolder:
         with self._writing(name):
             self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
 
-    def named(self, files: tuple[NamedFile, ...]) -> None:
-        """Record the user's files that the plan depends on."""
-        if files:
-            self.manifest = self.manifest.but(files=files)
+    def named(self, files: tuple[NamedFile, ...], overrides: tuple[str, ...]) -> None:
+        """Record the user's files that the plan depends on, and the keys of the scene that are not from its file."""
+        self.manifest = self.manifest.but(overrides=overrides, **({"files": files} if files else {}))
 
     def seal(self) -> None:
         """Record the digest of the driving artefacts, which must all be written."""

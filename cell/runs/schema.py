@@ -161,6 +161,9 @@ class Manifest(JsonTable):
     seed: int | None = Field(default=None, ge=0, description="seed of every random choice")
     inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of each input of the plan")
     files: tuple[NamedFile, ...] = Field(default=(), description="files named by the user; absent for a built-in cell")
+    overrides: tuple[str, ...] | None = Field(
+        default=None, description="keys of the scene that differ from the scene file, by options or by the command"
+    )
     options: dict[str, JsonValue] = Field(default_factory=dict, description="execution: its options")
     source: str | None = Field(default=None, description="execution: source of the points")
     plan: str | None = Field(default=None, description="execution: sha256 of the executed plan.json")

@@ -58,7 +58,7 @@ def test_the_file_describes_the_executed_stages(explored: Path) -> None:
     file = schema.read_explore_file(explored / "explore.json")
     assert (file.status, file.views) == ("finished", 5)
     assert [stage.views for stage in file.batches] == [3, 2]
-    assert "budget of 5 views" in file.stop_reason
+    assert "the budget of 5 views is used" in file.stop_reason
     for stage in file.batches:
         run = open_finished(explored / stage.folder)
         assert stage.digest == run.digest
@@ -309,7 +309,7 @@ def test_other_options_do_not_go_on_there(
         (("--acquire", "files:points"), "give --cylinder"),
         (("--voxel", "0.01"), "choose larger voxels or a smaller cylinder"),
         (("--pin", "3"), "omit it here"),
-        (("--scene", "line.toml"), "sweeping scanner laser-line"),
+        (("--scene", "line.toml"), "exploration does not support the sweeping scanner laser-line"),
         (("--scene", "setups.toml"), "remove [[setup]] here"),
         (("--require", "0.9"), "--require needs a model of the part"),
         (("--policy", "two-stage", "--batch", "2"), "--batch applies to stepwise only"),

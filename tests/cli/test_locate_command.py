@@ -71,7 +71,7 @@ def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
     base = nominal @ T[:3, :3].T + T[:3, 3]
     back = np.linalg.inv(run.T_base_scanner[2])
     for name, measured in (("base", base), ("scanner", base @ back[:3, :3].T + back[:3, 3])):
-        rows = [f"p{k}; " + ", ".join(f"{1000 * value:.9f}" for value in (*nominal[k], *measured[k])) for k in range(6)]
+        rows = [f"p{k}, " + ", ".join(f"{1000 * value:.9f}" for value in (*nominal[k], *measured[k])) for k in range(6)]
         (tmp_path / f"{name}.csv").write_text("# name, on the part, measured\n" + "\n".join(rows))
     for options in (
         {"pairs": tmp_path / "base.csv", "points_frame": "base"},

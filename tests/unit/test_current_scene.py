@@ -9,9 +9,14 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
+from cell.runs import ply
+from cell.runs.cell import world_of
 from cell.runs.current_files import CurrentFiles
 from cell.runs.current_scene import require_current_scene
+from cell.runs.run import open_run
 from cell.runs.verification import VerifiedPlan, verify_plan
+from cell.world.files import write_mjcf
+from planner.geometry.mesh import TriangleMesh
 from tests.support.fixture_types import RunCommand
 
 _SCENE = """
@@ -163,3 +168,42 @@ def test_options_of_the_command_line_are_no_difference(
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[60, 50, 40]", "[60, 50, 42]"))
     assert _refused(placed, CurrentFiles()) == "fixture:box"
     assert _refused(placed, CurrentFiles(scene=tmp_path / "cell.toml")) == "placement,fixture:box"
+
+
+def _without_box(folder: Path) -> None:
+    path = folder / "scene.resolved.json"
+    content = json.loads(path.read_text())
+    content["fixtures"] = [each for each in content["fixtures"] if each["name"] != "box"]
+    path.write_text(json.dumps(content))
+
+
+def _thinner_part(folder: Path) -> None:
+    path = folder / "reference.ply"
+    mesh = ply.mesh(path.read_bytes())
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    path.write_bytes(ply.mesh_bytes(TriangleMesh(middle + (mesh.vertices - middle) * [0.5, 0.5, 1.0], mesh.faces)))
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"), [(_without_box, "the fixture 'box' is new"), (_thinner_part, "has another surface")]
+)
+def test_a_changed_folder_is_refused_although_it_is_consistent(
+    cell_of_files: Path, tmp_path: Path, resealed: Callable[[Path], str], change: Callable[[Path], None], sentence: str
+) -> None:
+    """A fixture removed from the cell and a smaller part pass the verification, but differ from the user's files."""
+    folder = tmp_path / "changed"
+    shutil.copytree(cell_of_files / "run", folder)
+    change(folder)
+    resealed(folder)
+    run = open_run(folder)
+    write_mjcf(world_of(run, run.mesh("reference.ply")), folder)
+    resealed(folder)
+    verified = verify_plan(folder)
+    with pytest.raises(SceneError, match=sentence):
+        require_current_scene(verified, CurrentFiles(), None, wire=False)
+
+
+def test_options_of_the_command_are_no_differences(proven: VerifiedPlan) -> None:
+    """The manifest names the keys that are not from the file; the plan itself passes."""
+    assert proven.run.manifest.overrides == ("part.path", "part.units")
+    require_current_scene(proven, CurrentFiles(), None, wire=False)
