@@ -39,6 +39,7 @@ class _SceneKeywords(TypedDict, total=False):
     samples: int
     fill: Literal["aimed", "rays"]
     solver: Literal["auto", "greedy", "meta-raps", "local-search", "exact"]
+    effort: str
     coverage: float
     require: float
     max_sigma: float | None
