@@ -1,11 +1,12 @@
 """Search fewer views over all reachable poses, starting from the views of a cover.
 
 A cover over candidates is optimal for these candidates only. The search leaves out the views with the smallest area of
-their own and repairs the rest: in each round every view gets a few proposals, poses around its own, tested for
-reachability in one call. A direction table evaluates them on the samples that no other view measures. The view moves to
-the best one unless it loses area; small losses are accepted with a probability (Kirkpatrick, Gelatt, Vecchi 1983,
-doi:10.1126/science.220.4598.671, at a constant temperature). Few proposals are better than many: views drift along
-plateaus of equal area, and the next gain is found from there. In some rounds the best candidate is proposed as well.
+their own and repairs the rest: in each round every view gets proposals, poses around its own. They are evaluated by a
+direction table on the samples that no other view measures, and the best few are tested for reachability, those of all
+views in one call. A view moves to the first reachable one unless it loses area; small losses are accepted with a
+probability (Kirkpatrick, Gelatt, Vecchi 1983, doi:10.1126/science.220.4598.671, at a constant temperature). Few
+proposals are better than many: views drift along plateaus of equal area, and the next gain is found from there. In some
+rounds the best candidate is proposed as well.
 
 When the table says that the goal is reached, exact rays on other samples decide; a shortfall there raises the goal.
 Views that pass are the new start, with one view less. The last part of the effort moves the fewest views to a larger
