@@ -200,6 +200,7 @@ class StudyKeywords(TypedDict, total=False):
     units: Units | None
     processes: int | None
     cluster: str | None
+    cluster_security: File | None
     out: File | None
 
 
