@@ -292,7 +292,7 @@ def _status(plan: ConnectedPlan, requested: float) -> str:
     """Return the status of the selection, with its target if that was raised above the requested coverage."""
     status = plan.cover.sentence if plan.selection.details is None else plan.selection.sentence
     if len(plan.selection.targets) <= 1 and plan.target != requested:  # regions have targets of their own
-        status += f", at {100 * plan.target:.2f} % of the coverable samples for the {100 * requested:g} % asked"
+        status += f", at {100 * plan.target:.2f} % of the coverable samples for the requested {100 * requested:g} %"
     return f"{status}. {plan.searched}" if plan.searched else status
 
 
