@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cell import scanners
-from cell.errors import FileError
+from cell.errors import FileError, SceneError
 from cell.files import model_file
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import CandidateSet, MeasuredSet, PlanSession
@@ -96,16 +96,20 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     )
 
 
-def overridden_keys(scene: Scene, path: Path | None) -> tuple[str, ...]:
+def overridden_keys(scene: Scene, path: Path | None) -> tuple[str, ...] | None:
     """Return the keys of a scene that differ from its file, such as "placement.position_mm", in the order of the scene.
 
-    Keys of `[plan]` and `[picture]` are left out: no verification depends on them.
+    Keys of `[plan]` and `[picture]` are left out: no verification depends on them. None if the file alone is no valid
+    scene, as the copy in a run folder whose part is elsewhere.
 
     Args:
         scene: with the options of the command.
         path: the scene file; None: the built-in scene.
     """
-    stated, keys = load_scene(path), list[str]()
+    try:
+        stated, keys = load_scene(path), list[str]()
+    except SceneError:
+        return None
     for name in Scene.model_fields:
         one, other = getattr(scene, name), getattr(stated, name)
         if isinstance(one, Table) and name not in ("plan", "picture"):

@@ -162,7 +162,7 @@ class RunFolder:
         with self._writing(name):
             self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
 
-    def named(self, files: tuple[NamedFile, ...], overrides: tuple[str, ...]) -> None:
+    def named(self, files: tuple[NamedFile, ...], overrides: tuple[str, ...] | None) -> None:
         """Record the user's files that the plan depends on, and the keys of the scene that are not from its file."""
         self.manifest = self.manifest.but(overrides=overrides, **({"files": files} if files else {}))
 

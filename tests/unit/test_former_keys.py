@@ -14,6 +14,13 @@ from cell.runs.schema import ExploreFile, SetupsFile, parsed
 from tests.support.former_runs import former_keys, with_former_keys
 from tests.unit.test_run_folder_keys import FILES, TABLE
 
+NEW_KEYS = {
+    "scene.resolved.json": {"path_tolerance_mm"},
+    "manifest.json": {"overrides"},
+    "executions/0001/report.json": {"deviation.edge_share", "deviation.with_edges"},
+}
+"""Keys that no file of a former schema has."""
+
 EXPLORED: dict[str, Any] = {
     "status": "finished", "part": "mug", "inputs": "", "seed": 0, "policy": "stepwise", "source": "simulated",
     "options": {"open": 1, "ended": {"stages": 2}}, "voxel_mm": 4.0, "batches": [], "stop_reason": "all is measured",
@@ -51,12 +58,12 @@ def paths(tree: Any, before: str = "") -> set[str]:
 
 @pytest.mark.parametrize("file", FILES)
 def test_every_former_key_has_its_present_key(file: str) -> None:
-    """The documented keys of the last version with a former schema become exactly the documented keys of now."""
+    """The documented keys of the last version with a former schema become the documented keys of now but new ones."""
     lines = [line.split(",")[:2] for line in TABLE.read_text(encoding="utf-8").splitlines()]
     present = {key.replace("?", "") for name, key in lines if name == file and "*" not in key}
     tree = nested([key for key in former_keys()[file] if "*" not in key])
     expanded = with_present_keys(tree, FILES[file])
-    assert paths(expanded) == present
+    assert paths(expanded) == present - NEW_KEYS.get(file, set())
 
 
 def test_the_table_names_keys_that_exist() -> None:
