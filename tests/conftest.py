@@ -190,17 +190,17 @@ class _DrawingHere(plots.PlotProcess):
         pass
 
 
-def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Callable[..., object]:
-    """Return a function that draws if drawing is enabled. Otherwise it writes an empty file or returns `instead`."""
+def _only_where_looked_at(draw: Callable[..., object], result: object) -> Callable[..., object]:
+    """Return a function that draws if drawing is enabled. Otherwise it writes an empty file or returns `result`."""
 
-    def look(*arguments: Any, **named: Any) -> object:
+    def drawn(*arguments: Any, **named: Any) -> object:
         if _Looks.drawn:
             return draw(*arguments, **named)
-        if instead is Path:
+        if result is Path:
             next(path for path in arguments if isinstance(path, Path)).write_bytes(b"")
-        return instead
+        return result
 
-    return look
+    return drawn
 
 
 _PICTURES = (
@@ -473,8 +473,8 @@ class Emulated:
 def _emulating(tmp_path_factory: pytest.TempPathFactory, start_cell: StartCommand) -> Iterator[Callable[..., Emulated]]:
     started: list[Emulated] = []
 
-    def start(*arguments: str, beside: Emulated | None = None) -> Emulated:
-        folder = beside.log.parent if beside else tmp_path_factory.mktemp("emulated")
+    def start(*arguments: str, partner: Emulated | None = None) -> Emulated:
+        folder = partner.log.parent if partner else tmp_path_factory.mktemp("emulated")
         log, state = folder / "moves.jsonl", folder / "arm.json"
         process = start_cell(
             "emulate", *arguments, "--log", log, "--state", state,
@@ -494,7 +494,7 @@ def _emulating(tmp_path_factory: pytest.TempPathFactory, start_cell: StartComman
 
 @pytest.fixture
 def emulate(tmp_path_factory: pytest.TempPathFactory, start_cell: StartCommand) -> Iterator[Callable[..., Emulated]]:
-    """Yield a function that starts `cell emulate`. With `beside`, it uses the state and the journal of an earlier one.
+    """Yield a function that starts `cell emulate`. With `partner`, it uses the state and the journal of an earlier one.
 
     Processes end with the test, because an idle controller polls its line fifty times a second.
     """

@@ -359,7 +359,7 @@ def test_seven_axes_are_driven_over_a_wire(
     stood = {"schema": SCHEMA, "axes": axes, "boot": 1, "ended_in_order": True}
     (tmp_path / "arm.json").write_text(json.dumps(stood))
     before = SimpleNamespace(log=tmp_path / "moves.jsonl")
-    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", beside=before)
+    emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", partner=before)
     digest = _json(copy / "manifest.json")["digest"]
     word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "1", "--confirm-motion", digest)
     run_cell("scan", copy, "--resolution", "1", *word, cwd=tmp_path, code=0)

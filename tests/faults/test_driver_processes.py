@@ -50,7 +50,7 @@ def test_a_killed_controller_comes_back(protocol: str, emulate: Emulate, tmp_pat
             driver.state()
         (move,) = first.entries("move")
         assert move["set_points"] == turned(150.0).tolist()
-        second = emulate(protocol, "--link", str(link), beside=first)
+        second = emulate(protocol, "--link", str(link), partner=first)
         assert second.url == first.url
         state = driver.stop()
         assert state.fault_code == Fault.RESTARTED
@@ -102,7 +102,7 @@ def test_ctrl_c_ends_an_emulator_in_order(emulate: Emulate) -> None:
     with open_driver(first.url, ARM) as driver:
         driver.move(turned(12.3456), 1.0)
     assert first.end(signal.SIGINT) == 0
-    second = emulate("modbus", beside=first)
+    second = emulate("modbus", partner=first)
     with open_driver(second.url, ARM) as driver:
         state = driver.state()
         assert (state.axes[0], state.fault_code, state.ack_sequence) == (123_456, 0, 0)

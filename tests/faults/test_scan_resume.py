@@ -127,7 +127,7 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
     os.kill(emulated.process.pid, signal.SIGKILL)
     _, output = process.communicate(timeout=120)
     assert process.returncode == 5, output
-    restarted = emulate("modbus", *_FAST, beside=emulated)
+    restarted = emulate("modbus", *_FAST, partner=emulated)
     again = ("scan", run_folder, "--resume", "0001", "--driver", restarted.url, "--speed", "1", "--reset", *_SCALE)
     done = run_cell(*again, *_word(run_folder), cwd=run_folder.parent)
     if done.returncode:

@@ -126,7 +126,7 @@ def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFo
     """Before move k all earlier scan files are complete on disk, and the last event announces move k."""
     seen = []
 
-    def look(move: int) -> None:
+    def record(move: int) -> None:
         files = sorted((folder.path / "scans").iterdir())
         assert [path.name for path in files] == [f"{k + 1:04d}.npz" for k in range(min(move, 3))]
         for path in files:
@@ -135,7 +135,7 @@ def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFo
         assert _events(folder)[-1]["segment"] == move + 1
         seen.append(move)
 
-    _run(RecordingDriver(before=look), _tour(), folder)
+    _run(RecordingDriver(before=record), _tour(), folder)
     assert seen == [0, 1, 2, 3]
     names = [event["event"] for event in _events(folder)]
     assert names == ["connected", *["move", "arrival", "scan"] * 3, "move", "arrival", "done"]
@@ -313,8 +313,8 @@ def test_scans_of_a_killed_execution_are_in_its_manifest(folder: ExecutionFolder
     """The manifest lists each scan before the next move, so that a later change of a scan is detected."""
     seen = []
 
-    def look(move: int) -> None:
+    def record(move: int) -> None:
         seen.append(sorted(json.loads((folder.path / "manifest.json").read_text()).get("artefacts", {})))
 
-    _run(RecordingDriver(before=look), _tour(), folder)
+    _run(RecordingDriver(before=record), _tour(), folder)
     assert seen == [[], *[[f"scans/{k + 1:04d}.npz" for k in range(n)] for n in (1, 2, 3)]]

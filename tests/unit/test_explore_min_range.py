@@ -73,15 +73,15 @@ def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
     [(0.0, UNKNOWN, 0.0), (0.07, UNKNOWN, 1.0), (0.07, FREE, 0.0), (-0.05, UNKNOWN, 0.0)],
     ids=["where it was believed", "before the range", "before the range, where others saw nothing", "farther off"],
 )
-@pytest.mark.parametrize("beside", [0.0, 0.2])
+@pytest.mark.parametrize("offset_m", [0.0, 0.2])
 def test_samples_without_points_before_unseen_space_count_as_too_near(
-    wall: float, state: int, message: float, beside: float
+    wall: float, state: int, message: float, offset_m: float
 ) -> None:
     """Samples without a point count as too near if the part lies in unseen space before the minimum range."""
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
-    source = np.array([0.0, 0.0, beside])
+    source = np.array([0.0, 0.0, offset_m])
     eye = SensorFrustum(source, np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.15, 0.45, apart)
     T = np.eye(4)
     T[:3, :3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

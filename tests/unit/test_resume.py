@@ -46,7 +46,7 @@ def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
 
 
 @pytest.mark.parametrize(
-    ("done", "stands", "stops", "legs"),
+    ("done", "position", "stops", "segments"),
     [
         (set(), HOME, (1, 2, 3, 4), 7),
         ({1}, at(10), (2, 3, 4), 6),
@@ -57,14 +57,14 @@ def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
     ids=["nothing moved", "view 1", "view 2", "after the sweep", "only the way home"],
 )
 def test_between_a_scan_and_the_next_move_the_plan_goes_on(
-    done: set[int], stands: np.ndarray, stops: tuple[int, ...], legs: int
+    done: set[int], position: np.ndarray, stops: tuple[int, ...], segments: int
 ) -> None:
     """The remaining segments are those of the plan, and they start at the position of the arm."""
-    left = rest(done, stands)
+    left = rest(done, position)
     assert left.approach_path is None
     assert left.plan.stops == stops
-    assert left.plan.segments == PLAN.segments[len(PLAN.segments) - legs :]
-    assert (left.plan.start == stands).all()
+    assert left.plan.segments == PLAN.segments[len(PLAN.segments) - segments :]
+    assert (left.plan.start == position).all()
 
 
 @pytest.mark.parametrize(("done", "goal"), [(set(), at(10)), ({1}, at(30)), ({1, 2}, at(40)), ({1, 2, 3, 4}, HOME)])

@@ -358,13 +358,13 @@ def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: p
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing_known"))
     pair = next(iter(own.pairs))
     own.pairs = {pair: own.pairs[pair]}
-    stands: list[float] = []
+    distances: list[float] = []
 
-    def stand(q: np.ndarray) -> None:
-        stands.append(0.015 if stands else 0.0)
+    def move(q: np.ndarray) -> None:
+        distances.append(0.015 if distances else 0.0)
 
-    own.set_configuration, own.in_contact = stand, lambda _: stands[-1] <= 0  # type: ignore[method-assign]
-    own.distance = lambda _, reach: stands[-1] - 0.01 * (len(stands) == 3)  # type: ignore[method-assign]
+    own.set_configuration, own.in_contact = move, lambda _: distances[-1] <= 0  # type: ignore[method-assign]
+    own.distance = lambda _, reach: distances[-1] - 0.01 * (len(distances) == 3)  # type: ignore[method-assign]
     assert own.classify().reduced == [(*pair, 0.0075)]
 
 
