@@ -85,7 +85,7 @@ def test_rounded_edges_are_left_out_of_the_numbers_and_stated_beside_them() -> N
     result = measure_deviation(mesh, REFERENCE, np.random.default_rng(4), count=20_000, edge_band=0.004)
     assert (result.rms, result.largest) == pytest.approx((0, 0), abs=1e-12)
     assert result.with_edges is not None
-    assert result.with_edges.largest == pytest.approx(0.002 / np.sqrt(3) * 2 / 2, rel=0.5)
+    assert 0.001 < result.with_edges.largest <= 0.002 * 2 / 3 + 1e-9  # middle of a cut edge, and of a cut corner
     assert result.with_edges.rms > 1e-4
     # Six squares of 92 mm are outside of the band; the band has the rest of the surface of the cut box.
     assert result.edge_share == pytest.approx(1 - 6 * 0.092**2 / hull.area, abs=0.005)
