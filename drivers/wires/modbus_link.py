@@ -85,20 +85,22 @@ class _PromptSerialClient(ModbusSerialClient):
     """Whether the adapter returns all sent bytes, which are then read and dropped."""
 
     is_echoing = False
-    """Whether the last answer began with the sent bytes."""
+    """Whether the bytes received since the last request began with the whole request."""
 
-    _sent = b""
+    _sent, _received = b"", b""
 
     def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
         size = int(super().send(request, addr))
-        self._sent, self.is_echoing, port = request, False, self.socket
+        self._sent, self._received, self.is_echoing, port = request, b"", False, self.socket
         if self.echo and port is not None and port.read(size) != request:
             raise ProtocolError(f"{port.name} does not return the bytes that are sent to it; omit the option echo")
         return size
 
     def recv(self, size: int | None) -> bytes:
         received = bytes(super().recv(size))
-        self.is_echoing = self.is_echoing or (len(received) > 1 and self._sent.startswith(received[: len(self._sent)]))
+        if not self.echo:
+            self._received = (self._received + received)[: len(self._sent)]
+            self.is_echoing = bool(self._sent) and self._received == self._sent
         return received
 
     def _wait_for_data(self) -> int:
@@ -192,7 +194,7 @@ class ModbusPort:
         except ModbusIOException as error:  # no answer, or one for another request
             if self._keeps_late_answers:
                 self.close()
-            self._require_no_echo(error)
+            self._require_no_echo()
             raise AnswerTimeoutError(
                 f"{self.name} gave no answer of unit {self._unit} in time; check cable, unit, baud rate and the device"
             ) from error
@@ -200,7 +202,7 @@ class ModbusPort:
             self.close()
             raise LinkLostError(f"{self.name} is gone: {describe_failure(error)}") from error
         except Exception as error:  # a corrupted telegram can fail anywhere in the library
-            self._require_no_echo(error)
+            self._require_no_echo()
             self.close()
             raise ProtocolError(f"{self.name} sent a broken telegram; check cable, baud rate and device") from error
         if response.isError():
@@ -209,14 +211,16 @@ class ModbusPort:
                 f"the device at {self.name} refused a telegram with exception {code}: "
                 f"{_EXCEPTIONS.get(code, 'a code of its own')}"
             )
+        self._require_no_echo()
         return response
 
-    def _require_no_echo(self, error: Exception) -> None:
+    def _require_no_echo(self) -> None:
+        """Raise if the adapter returns the requests. No valid answer begins with its whole request."""
         if getattr(self._client, "is_echoing", False):
             raise ProtocolError(
                 f"{self.name} returns the bytes that are sent to it: an RS-485 adapter with echo; switch its echo off, "
                 "or add the option echo to the URL"
-            ) from error
+            )
 
 
 class ModbusLink(ReopeningLink):

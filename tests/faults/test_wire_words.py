@@ -2,6 +2,7 @@
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -22,13 +23,33 @@ PATIENCE = "timeout_ms=600&watchdog_ms=3000"
 
 
 class EchoingLine(PtyLine):
-    """A pseudo-terminal whose adapter returns every byte that the client sends."""
+    """A pseudo-terminal whose adapter returns every byte that the client sends.
+
+    Args:
+        pieces: the echo arrives "whole", byte by byte ("bytes"), or in one piece with the answer ("merged").
+    """
+
+    def __init__(self, pieces: str = "whole") -> None:
+        super().__init__()
+        self._pieces, self._echo = pieces, b""
 
     def receive(self, seconds: float) -> list[tuple[int, bytes]]:
         received = super().receive(seconds)
         for peer, data in received:
-            self.send(peer, data)
+            match self._pieces:
+                case "whole":
+                    super().send(peer, data)
+                case "bytes":
+                    for index in range(len(data)):
+                        super().send(peer, data[index : index + 1])
+                        time.sleep(0.002)
+                case "merged":
+                    self._echo += data
         return received
+
+    def send(self, peer: int, data: bytes) -> None:
+        echo, self._echo = self._echo, b""
+        super().send(peer, echo + data)
 
 
 @contextmanager
@@ -47,9 +68,10 @@ def served(line: PtyLine | TcpLine, *, rtu: bool = True, unit: int = 1, serial: 
         line.close()
 
 
-def test_an_echoing_adapter_is_recognised_and_coped_with() -> None:
+@pytest.mark.parametrize("pieces", ["whole", "bytes", "merged"])
+def test_an_echoing_adapter_is_recognised_and_coped_with(pieces: str) -> None:
     """Without the option the message names echo and option; with it the controller is driven."""
-    line = EchoingLine()
+    line = EchoingLine(pieces)
     with served(line):
         url = f"modbus+rtu://{line.name}?{PATIENCE}"
         with pytest.raises(ProtocolError, match=r"RS-485 adapter with echo.*option echo") as error:
