@@ -133,7 +133,7 @@ def search_views(
     found = search_poses(
         initial, pool, table, weights,
         are_reachable=lambda T: evaluator.are_reachable(T[:, None]), shortfall=shortfall, effort=effort, rng=rng,
-        progress=progress,
+        progress=lambda done, total, _: progress(done, total),
     )  # fmt: skip
     result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), least)
     if len(found.views) == len(initial):
@@ -200,7 +200,8 @@ def _table(
     part, *occluders = cast(Sequence[DirectionCaster], known.casters)
     table = DirectionTable.build(targets, known.scanner, part, occluders, distances_of(known.scanner))
     coverable = table.measured(pool.T_object_scanner).any(axis=1)
-    needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1))
+    # In random order, so that sums over some of them are spread over the surface.
+    needed = rng.permutation(np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1)))
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.
     return table.pick(needed), weights[needed] / weights[coverable].sum()
 

@@ -75,16 +75,19 @@ def test_sums_are_those_of_the_measured_rows(case):
     """Sums over some rows are close to those of exact marks; below a threshold they are partial, above it complete."""
     _, _, T = case
     table, rng = _table(case, LaserArea()), np.random.default_rng(3)
-    rows = rng.permutation(2000)[:700]
-    weights = rng.random(700)
-    expected = table.weights_measured(T, rows, weights)
-    exact = weights @ table.measured(T, rows)
-    assert abs(expected - exact).mean() < 0.01 * exact.mean()
-    np.testing.assert_allclose(replace(table, limits=None).weights_measured(T, rows, weights), exact, rtol=1e-3)
-    threshold = float(np.median(expected))
-    some = table.weights_measured(T, rows, weights, threshold)
-    above = expected >= threshold
-    np.testing.assert_allclose(some[above], expected[above], rtol=1e-12)
+    sets = [rng.permutation(2000)[:n] for n in (700, 1, 0)]
+    rows, starts = np.concatenate(sets), np.array([0, 700, 701, 701])
+    poses, weights, all_sums = np.stack([T, T, T]), rng.random(2000), np.full(3, -np.inf)
+    expected = table.weights_measured(poses, rows, starts, weights, all_sums)
+    exact = np.array([weights[own] @ table.measured(T, own) for own in sets])
+    assert abs(expected - exact)[0].mean() < 0.01 * exact[0].mean()
+    assert (abs(expected - exact)[1:] > 0).mean() < 0.02
+    by_law = replace(table, limits=None).weights_measured(poses, rows, starts, weights, all_sums)
+    np.testing.assert_allclose(by_law, exact, rtol=1e-3)
+    threshold = float(np.median(expected[0]))
+    some = table.weights_measured(poses, rows, starts, weights, np.array([threshold, 0.0, 0.0]))[0]
+    above = expected[0] >= threshold
+    np.testing.assert_allclose(some[above], expected[0][above], rtol=1e-12)
     assert (some[~above] < threshold).all()
 
 
