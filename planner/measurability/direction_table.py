@@ -33,7 +33,7 @@ N_NODES = 33
 N_RANGES = 4
 """Ranges of distance between sample and source or sensor, each with its own table of occluders."""
 
-_COARSEST_PART, _COARSEST_OTHERS = 4, 4  # nodes between two nodes of the first level; powers of two
+_COARSEST_PART, _COARSEST_OTHERS = 2, 4  # nodes between two nodes of the first level; powers of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits

@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 
 from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
-from planner.values import Bools, Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Ints32, Value
 
 EFFORTS = {"low": 20_000, "normal": 80_000, "high": 800_000}
 """Poses that a search evaluates."""
@@ -31,7 +31,7 @@ _PROPOSALS = 24  # of a view in a round
 _TESTED = 4  # best proposals of a view that are tested for reachability
 _LAST_PART = 0.1  # of the effort, for a larger area
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
-_VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
+_VIEWS_PER_REMOVAL = 15  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
@@ -179,16 +179,16 @@ class _Search:
         self.effort, self.rng, self.progress = effort, rng, progress
         self.evaluated, self.rounds = 0, 0
         self.pool_measured = self._measured(pool.T_object_scanner)
-        self.pool_of_row = csr_array(self.pool_measured.T, dtype=np.float32)
+        self.pool_of_row = csr_array(self.pool_measured.T)
         self._set(pool.pick(np.arange(0)), np.empty((0, len(weights)), dtype=np.bool_))
 
     def repaired(self, start: SearchPoses, removed: int, shortfall: Shortfall, effort: int) -> SearchPoses | None:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
         measured = self._measured(start.T_object_scanner)
-        goal = float(self.weights[measured.any(axis=0)].sum()) + max(0.0, shortfall(start))
+        goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
         kept = self._needed_most(measured, removed)
         self._set(start.pick(kept), measured[kept])
-        limit = effort if removed == 1 else min(effort, self.evaluated + effort // 8)
+        limit = effort if removed == 1 else min(effort, self.evaluated + effort // 5)
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
         while self.evaluated < limit:
             self._round()
@@ -251,14 +251,15 @@ class _Search:
         best = np.argsort(-area, axis=1, kind="stable")[:, :_TESTED]
         view, rank = np.nonzero(np.take_along_axis(area, best, axis=1) >= (least + accepted)[:, None])
         tested = T[view, best[view, rank]]
-        reachable = np.flatnonzero(self.are_reachable(tested))
-        view, first = np.unique(view[reachable], return_index=True)
-        T = tested[reachable[first]]
-        for moved, number in zip(
-            self._accepted(view, self._measured(T), accepted[view]), range(len(view)), strict=True
-        ):
-            if moved:
-                self.views = self.views.with_pose(int(view[number]), T[number])
+        left = np.flatnonzero(self.are_reachable(tested))
+        while len(left):
+            own, first = np.unique(view[left], return_index=True)
+            some = left[first]
+            is_moved = self._accepted(own, self._measured(tested[some]), accepted[own])
+            for number in np.flatnonzero(is_moved):
+                self.views = self.views.with_pose(int(own[number]), tested[some[number]])
+            left = np.delete(left, first)
+            left = left[~np.isin(view[left], own[is_moved])]
         if self.rounds % _FROM_POOL == _FROM_POOL - 1:
             self._take_from_pool()
         self.evaluated += n * _PROPOSALS
@@ -266,15 +267,14 @@ class _Search:
 
     def _take_from_pool(self) -> None:
         """Replace each view by the best candidate, if that measures more."""
-        rows, starts = list_open_rows(self.measured, self.count)
-        wanted = csr_array((self.weights[rows].astype(np.float32), rows, starts), shape=self.measured.shape)
-        of_pool = (wanted @ self.pool_of_row).toarray()
-        best = of_pool.argmax(axis=1)
-        view = np.flatnonzero(of_pool[np.arange(len(best)), best] > self._own_weights(rows, starts))
-        for number, moved in enumerate(self._accepted(view, self.pool_measured[best[view]], np.zeros(len(view)))):
-            if moved:
-                candidate = best[view[number : number + 1]]
-                self.views = self.views.with_view(int(view[number]), self.pool.pick(candidate))
+        for view in range(len(self.views)):
+            rows = np.flatnonzero(self.count == self.measured[view])
+            own = float(self.weights[rows[self.measured[view, rows]]].sum())
+            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, own)
+            if candidate >= 0:
+                here = np.array([candidate])
+                if self._accepted(np.array([view]), self.pool_measured[here], np.zeros(1))[0]:
+                    self.views = self.views.with_view(view, self.pool.pick(here))
 
     def _own_weights(self, rows: Ints, starts: Ints) -> Floats:
         """Return (n,) weight of the open rows that each view measures."""
@@ -353,3 +353,22 @@ def accept_moves(measured: Bools, count: Ints, weights: Floats, view: Ints, new:
                 count[row] += np.int64(new[k, row]) - np.int64(old[row])
                 old[row] = new[k, row]
     return accepted
+
+
+@compiled
+def best_candidate(indptr: Ints32, indices: Ints32, rows: Ints, weights: Floats, least: float) -> int:
+    """Return the candidate that measures the largest weight of some rows; -1 if none measures more than `least`.
+
+    Args:
+        indptr: (S + 1,) first entry of each row.
+        indices: candidates that measure each row.
+        rows: (m,) rows that count.
+        weights: (S,) of the rows.
+        least: weight to exceed.
+    """
+    sums = np.zeros(indices.max() + 1 if len(indices) else 1)
+    for row in rows:
+        for entry in range(indptr[row], indptr[row + 1]):
+            sums[indices[entry]] += weights[row]
+    best = int(sums.argmax())
+    return best if sums[best] > least * (1 + 1e-12) else -1
