@@ -199,9 +199,9 @@ def _table(
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
     part, *occluders = cast(Sequence[DirectionCaster], known.casters)
     table = DirectionTable.build(targets, known.scanner, part, occluders, distances_of(known.scanner))
-    coverable = table.measured(pool.T_object_scanner).any(axis=1)
+    coverable = table.measured(pool.T_object_scanner).any(axis=0)
     # In random order, so that sums over some of them are spread over the surface.
-    needed = rng.permutation(np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1)))
+    needed = rng.permutation(np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0)))
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.
     return table.pick(needed), weights[needed] / weights[coverable].sum()
 

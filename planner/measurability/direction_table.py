@@ -149,7 +149,7 @@ class DirectionTable(Value):
         if self.limits is None:
             for k, T in enumerate(T_object_scanner):
                 own = rows[starts[k] : starts[k + 1]]
-                sums[k] = weights[own] @ self.measured(T, own)
+                sums[k] = self.measured(T, own) @ weights[own]
             return sums
         poses = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1)
         sum_weights(
@@ -158,10 +158,11 @@ class DirectionTable(Value):
         )  # fmt: skip
         return sums
 
-    def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
-        """Return (m, n) whether each of n poses (n, 4, 4) [m] measures each of (m,) rows; None: all samples.
+    def measured(self, T_object_scanner: Floats, rows: Ints | None = None, wanted: Bools | None = None) -> Bools:
+        """Return (n, m) whether each of n poses (n, 4, 4) [m] measures each of (m,) rows; None: all samples.
 
-        Exact rays decide where a node has a neighbour that differs from it.
+        Exact rays decide where a node has a neighbour that differs from it, if the pair is among the wanted ones (n, m)
+        or these are None. Other uncertain pairs count as not measured.
         """
         rows = np.arange(len(self)) if rows is None else rows
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
@@ -176,8 +177,10 @@ class DirectionTable(Value):
                 some = slice(first, first + together)
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
             found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
+        if wanted is not None:
+            found[(found > 1) & ~wanted] = 0
         self._decide_edges(T_object_scanner, rows, found)
-        return np.asarray(found.T > 0)
+        return np.asarray(found > 0)
 
     def _decide_edges(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
         """Decide `found` (n, m) by exact rays where a line of sight is near an edge."""

@@ -51,8 +51,11 @@ class PoseEvaluator(Protocol):
         """
         ...
 
-    def measured(self, T_object_scanner: Floats) -> Bools:
-        """Return (S, n) whether each pose (n, 4, 4) [m] measures each sample."""
+    def measured(self, T_object_scanner: Floats, *, wanted: Bools | None = None) -> Bools:
+        """Return (n, S) whether each pose (n, 4, 4) [m] measures each sample.
+
+        Pairs that are not wanted (n, S) may count as not measured where that is uncertain; None: all are wanted.
+        """
         ...
 
 
@@ -178,13 +181,13 @@ class _Search:
         self.pool, self.evaluator, self.weights, self.are_reachable = pool, evaluator, weights, are_reachable
         self.effort, self.rng, self.progress = effort, rng, progress
         self.evaluated, self.rounds = 0, 0
-        self.pool_measured = self._measured(pool.T_object_scanner)
+        self.pool_measured = self.evaluator.measured(pool.T_object_scanner)
         self.pool_of_row = csr_array(self.pool_measured.T)
         self._set(pool.pick(np.arange(0)), np.empty((0, len(weights)), dtype=np.bool_))
 
     def repaired(self, start: SearchPoses, removed: int, shortfall: Shortfall, effort: int) -> SearchPoses | None:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
-        measured = self._measured(start.T_object_scanner)
+        measured = self.evaluator.measured(start.T_object_scanner)
         goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
         kept = self._needed_most(measured, removed)
         self._set(start.pick(kept), measured[kept])
@@ -210,16 +213,13 @@ class _Search:
 
     def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses:
         """Return the views moved to a larger area with the remaining effort, if exact rays confirm it."""
-        self._set(start, self._measured(start.T_object_scanner))
+        self._set(start, self.evaluator.measured(start.T_object_scanner))
         best, best_area = start, self._area()
         while self.evaluated < self.effort:
             self._round()
             if (area := self._area()) > best_area:
                 best, best_area = self.views, area
         return best if shortfall(best) < shortfall(start) else start
-
-    def _measured(self, T_object_scanner: Floats) -> Bools:
-        return np.ascontiguousarray(self.evaluator.measured(T_object_scanner).T)
 
     def _set(self, views: SearchPoses, measured: Bools) -> None:
         self.views, self.measured = views, measured.copy()
@@ -255,7 +255,7 @@ class _Search:
         while len(left):
             own, first = np.unique(view[left], return_index=True)
             some = left[first]
-            is_moved = self._accepted(own, self._measured(tested[some]), accepted[own])
+            is_moved = self._accepted(own, self.evaluator.measured(tested[some], wanted=self._open(own)), accepted[own])
             for number in np.flatnonzero(is_moved):
                 self.views = self.views.with_pose(int(own[number]), tested[some[number]])
             left = np.delete(left, first)
@@ -281,6 +281,10 @@ class _Search:
         n = len(self.views)
         view = np.repeat(np.arange(n), np.diff(starts))
         return np.bincount(view, self.weights[rows] * self.measured[view, rows], n).astype(np.float64)
+
+    def _open(self, view: Ints) -> Bools:
+        """Return (m, S) which rows no other view than each of (m,) views measures."""
+        return np.asarray(self.count == self.measured[view])
 
     def _accepted(self, view: Ints, measured: Bools, change: Floats) -> Bools:
         return accept_moves(self.measured, self.count, self.weights, view, measured, change)

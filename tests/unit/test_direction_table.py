@@ -56,7 +56,7 @@ def test_table_agrees_with_exact_rays(case, scanner):
     samples, caster, T = case
     exact = find_measured(T[:, None], samples, scanner, (caster,), each=True)
     table = _table(case, scanner)
-    found = table.measured(T)
+    found = table.measured(T).T
     assert exact.mean() > 0.02
     assert (found != exact).mean(axis=0).max() < 0.03
     assert (found != exact).mean() < 0.005
@@ -79,7 +79,7 @@ def test_sums_are_those_of_the_measured_rows(case):
     rows, starts = np.concatenate(sets), np.array([0, 700, 701, 701])
     poses, weights, all_sums = np.stack([T, T, T]), rng.random(2000), np.full(3, -np.inf)
     expected = table.weights_measured(poses, rows, starts, weights, all_sums)
-    exact = np.array([weights[own] @ table.measured(T, own) for own in sets])
+    exact = np.array([table.measured(T, own) @ weights[own] for own in sets])
     assert abs(expected - exact)[0].mean() < 0.01 * exact[0].mean()
     assert (abs(expected - exact)[1:] > 0).mean() < 0.02
     by_law = replace(table, limits=None).weights_measured(poses, rows, starts, weights, all_sums)
@@ -95,7 +95,7 @@ def test_some_samples_are_those_of_the_whole_table(case):
     """A table of some samples measures the same."""
     _, _, T = case
     table, rows = _table(case, LaserArea()), np.arange(5, 2000, 7)
-    np.testing.assert_array_equal(table.pick(rows).measured(T), table.measured(T, rows))
+    np.testing.assert_array_equal(table.pick(rows).measured(T), table.measured(T)[:, rows])
 
 
 def test_occluders_hide(case):
@@ -108,9 +108,9 @@ def test_occluders_hide(case):
     table = DirectionTable.build(targets, LaserArea(), caster, (occluder,), DISTANCES)
     outward = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     T = aim_viewpoints(np.zeros((2, 3)), outward, np.full(2, -1), [0.25], [0.0]).T_object_scanner[:, 0]
-    above, below = table.measured(T).sum(axis=0)
+    above, below = table.measured(T).sum(axis=1)
     assert above == 0
-    assert below == _table(case, LaserArea()).measured(T)[:, 1].sum() > 100
+    assert below == _table(case, LaserArea()).measured(T)[1].sum() > 100
 
 
 def test_occluders_behind_the_scanner_do_not_hide(case):
@@ -126,7 +126,7 @@ def test_occluders_behind_the_scanner_do_not_hide(case):
         occluder = EmbreeRayCaster(plate.vertices, plate.faces)
         table = DirectionTable.build(targets, LaserArea(), caster, (occluder,), DISTANCES)
         exact = find_measured(T[:, None], samples, LaserArea(), (caster, occluder))
-        assert (table.measured(T)[:, 0] != exact).mean() < 0.01
+        assert (table.measured(T)[0] != exact).mean() < 0.01
         measured.append(int(exact.sum()))
     assert measured[0] == 0
     assert measured[1] > 100
