@@ -7,7 +7,7 @@ candidates, rows, requests and verdicts. A finished stage is on disk before the 
 
 import logging
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -64,9 +64,11 @@ from cell.world.model import compile_settled
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
+from planner.ports import Progress
 from planner.timing.limits import scale_limits
 from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
+from planner.viewpoints.pose_search import SearchProgress
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
@@ -320,9 +322,9 @@ def select_and_connect(
     if append is not None and (reason := skip_reason(problem)):
         searched = f"Poses are not searched: {reason}"
     elif append is not None:
-        with session.stage("search fewer views") as progress:
+        with _search_stage(session, len(initial[1].cover.views)) as report:
             draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
-            moved_problem, moved, search = search_views(*initial, surface, append, draws, others, rng, progress)
+            moved_problem, moved, search = search_views(*initial, surface, append, draws, others, rng, report)
             choice = moved_problem, moved
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:
@@ -348,6 +350,26 @@ def select_and_connect(
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)
         return problem, plan
+
+
+@contextmanager
+def _search_stage(session: PlanSession, n_views: int) -> Iterator[SearchProgress]:
+    """Record the pose search as a stage, and report the number of views found so far."""
+    with session.folder.stage("search fewer views"), ExitStack() as shown:
+
+        def show(n_views: int) -> Progress:
+            shown.close()
+            return shown.enter_context(session.reporter.stage(f"search fewer than {n_views} views"))
+
+        fewest, report = n_views, show(n_views)
+
+        def update(done: int, total: int, n_views: int) -> None:
+            nonlocal fewest, report
+            if n_views < fewest:
+                fewest, report = n_views, show(n_views)
+            report(done, total)
+
+        yield update
 
 
 def time_motion(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> tuple[MotionClearance, Motion]:

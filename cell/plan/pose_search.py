@@ -19,11 +19,11 @@ from planner.cover import CoverStatus
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.direction_table import DirectionTable
 from planner.measurability.visibility import VisibilityMemo
-from planner.ports import DirectionCaster, Progress, Scanner
+from planner.ports import DirectionCaster, Scanner
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import find_frustum
-from planner.viewpoints.pose_search import EFFORTS, SearchPoses, Shortfall, join_poses, search_poses
+from planner.viewpoints.pose_search import EFFORTS, SearchPoses, SearchProgress, Shortfall, join_poses, search_poses
 from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 
 Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
@@ -55,22 +55,23 @@ class PoseSearch:
         effort: name or number of the requested effort.
         evaluated: evaluated poses.
         n_views: number of views at its end.
-        required: share of the coverable held-out samples that fewer views had to measure.
+        is_interrupted: whether Ctrl-C ended it.
     """
 
     effort: str
     evaluated: int
     n_views: int
-    required: float
+    is_interrupted: bool = False
 
     def sentence(self, n_views: int) -> str:
         """Return the result for a plan of a number of views."""
         if not self.evaluated:
-            return "Poses were not searched"
-        begin = f"Pose search ({self.effort} effort, {self.evaluated:,} poses)"
+            return "Pose search was interrupted." if self.is_interrupted else "Poses were not searched."
+        effort = f"interrupted, {self.effort}" if self.is_interrupted else self.effort
+        begin = f"Pose search ({effort} effort, {self.evaluated:,} poses)"
         if n_views <= self.n_views:
-            return f"{begin} found no plan with {n_views - 1} views at {100 * self.required:.2f} %"
-        return f"{begin} found {self.n_views} views, which could not be connected"
+            return f"{begin} found no plan with {n_views - 1}."
+        return f"{begin} found {self.n_views} views, which could not be connected."
 
 
 def skip_reason(problem: SelectionProblem) -> str:
@@ -96,7 +97,7 @@ def skip_reason(problem: SelectionProblem) -> str:
 
 def search_views(
     problem: SelectionProblem, selection: Selection, surface: PartSurface, append: Append, rng: np.random.Generator,
-    fresh: np.random.Generator, selection_rng: np.random.Generator, progress: Progress,
+    fresh: np.random.Generator, selection_rng: np.random.Generator, progress: SearchProgress,
 ) -> tuple[SelectionProblem, Selection, PoseSearch]:  # fmt: skip
     """Find fewer views that measure as much of the held-out samples, among all reachable poses.
 
@@ -108,7 +109,7 @@ def search_views(
         rng: samples and proposals.
         fresh: samples on which found views are compared with the given ones.
         selection_rng: randomness of the selection among all candidates.
-        progress: called with (evaluated poses, effort).
+        progress: called with evaluated poses, effort, and the number of views found so far.
 
     Returns:
         Problem and selection with the moved views; the given ones if there are no fewer views.
@@ -124,18 +125,21 @@ def search_views(
     initial = np.searchsorted(usable, np.delete(selection.cover.views, pinned))
     least = min(plan.coverage + MARGIN, 1.0)
     if not (effort and len(initial) > 1):
-        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), least)
-    table, weights = _table(problem, surface, pool, fixed, len(initial), rng)
+        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views))
+    try:
+        table, weights = _table(problem, surface, pool, fixed, len(initial), rng)
+        shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
+    except KeyboardInterrupt as stop:
+        if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
+            raise
+        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), is_interrupted=True)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
-
-    shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
-
     found = search_poses(
         initial, pool, table, weights,
         are_reachable=lambda T: evaluator.are_reachable(T[:, None]), shortfall=shortfall, effort=effort, rng=rng,
-        progress=lambda done, total, _: progress(done, total),
+        progress=lambda done, total, n_views: progress(done, total, len(fixed) + n_views),
     )  # fmt: skip
-    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), least)
+    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), found.is_interrupted)
     if len(found.views) == len(initial):
         return problem, selection, result
     more, moved = _appended(problem, selection, join_poses([fixed, found.views]), append)
@@ -240,9 +244,11 @@ def _appended(
     numbers = views.origin.copy()
     numbers[views.moved] = len(problem.candidates) + np.arange(len(T))
     is_coverable: Bools = np.diff(more.M.indptr) > 0
+    measures_some = np.bincount(more.M.indices, minlength=len(more.candidates)) > 0
     unbounded = replace(
         selection.cover, lower_bound=1, status=CoverStatus.BOUNDED, uncoverable_rows=np.flatnonzero(~is_coverable),
         coverable_area=float(more.M.samples.areas[is_coverable].sum()),
+        n_candidates=int((measures_some & more.usable()).sum()),
     )  # fmt: skip
     cover, _ = cover_of_views(unbounded, more.M, numbers)
     share = more.prediction.share_of_coverable(more.candidates.T_object_scanner[cover.views])

@@ -22,7 +22,7 @@ FLOAT_ERROR = 1e-12
 class CoverStatus(Enum):
     """Result of a selection; the value is its sentence for reports, without numbers (`Cover.sentence` has them)."""
 
-    PROVEN = "proven optimal for these candidates and samples"
+    PROVEN = "optimal for these candidates and samples"
     BOUNDED = "within a known distance of the optimum for these candidates and samples"
     TIME_LIMITED = "the time limit stopped the search; within a known distance of the optimum"
     INTERRUPTED = "the search was interrupted; within a known distance of the optimum"
@@ -58,6 +58,7 @@ class Cover(Value):
         cost_and_bound: cost of the views and a lower bound on it; None without costs.
         max_views: largest number of views; None: not limited.
         n_views_without_overlap: views of the best selection without the overlap constraint; None without one.
+        n_candidates: usable columns that measure something, to which the bounds refer.
     """
 
     views: Annotated[Ints, "n"]
@@ -77,6 +78,7 @@ class Cover(Value):
     cost_and_bound: tuple[float, float] | None = None
     max_views: int | None = None
     n_views_without_overlap: int | None = None
+    n_candidates: int = 0
 
     @property
     def cost(self) -> float:
@@ -113,22 +115,25 @@ class Cover(Value):
             return self._sentence_of_area()
         best = "fewest" if self.cost_and_bound is None else "cheapest"
         best += " connected views" if self.n_views_without_overlap is not None else " views"
+        candidates = f"the {self.n_candidates:,} candidate poses"
+        bound = "" if self.cost_and_bound is not None else f" (bound {self.lower_bound})"
         if self.status is CoverStatus.PROVEN:
-            return f"proven {best} for these candidates and samples"
+            is_plain = best == "fewest views"
+            return f"{'optimal for' if is_plain else f'proven {best} of'} {candidates}{bound}"
         if self.cost_and_bound is not None:
             within = f"costs at most {100 * self.gap / (1 - self.gap):.3g} % more than the {best}"
         else:
             within = f"at most {self.excess_views} {'view' if self.excess_views == 1 else 'views'} more than the {best}"
-        return f"{self.termination}{within} for these candidates and samples"
+        return f"{self.termination}{within} of {candidates}{bound}"
 
     def _sentence_of_area(self) -> str:
         if self.covered_area >= self.coverable_area:
             return "these views measure the complete coverable surface"
         views = "1 view" if self.max_views == 1 else f"{self.max_views} views"
+        most = f"maximum coverage with {views} of the {self.n_candidates:,} candidate poses"
         if self.status is CoverStatus.PROVEN:
-            return f"proven maximum coverage with {views} for these candidates and samples"
-        points = max(self.gap_percent, 0.01)
-        return f"{self.termination}at most {points:.2f} percentage points below the maximum coverage with {views}"
+            return f"proven {most}"
+        return f"{self.termination}at most {max(self.gap_percent, 0.01):.2f} percentage points below the {most}"
 
     @property
     def termination(self) -> str:
@@ -224,6 +229,7 @@ def make_cover(
         cost_and_bound=cost_and_bound,
         max_views=problem.max_views,
         n_views_without_overlap=n_views_without_overlap,
+        n_candidates=len(form.columns),
     )
 
 

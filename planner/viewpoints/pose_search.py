@@ -118,10 +118,12 @@ class SearchResult:
     Attributes:
         views: the fewest views that passed the exact test; the initial ones if there are none.
         evaluated: number of evaluated poses.
+        is_interrupted: whether Ctrl-C ended the search.
     """
 
     views: SearchPoses
     evaluated: int
+    is_interrupted: bool = False
 
 
 def search_poses(
@@ -152,10 +154,11 @@ def search_poses(
     Returns:
         The result; Ctrl-C ends the search with the fewest views so far.
     """
-    search = _Search(pool, evaluator, weights, are_reachable, effort, rng, progress)
     best = pool.pick(initial)
     count, before_last_part = max(1, len(best) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
+    search = None
     try:
+        search = _Search(pool, evaluator, weights, are_reachable, effort, rng, progress)
         while search.evaluated < before_last_part and len(best) > 1:
             count = min(count, len(best) - 1)
             found = search.repaired(best, count, shortfall, before_last_part)
@@ -168,6 +171,7 @@ def search_poses(
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
+        return SearchResult(best, 0 if search is None else search.evaluated, is_interrupted=True)
     return SearchResult(best, search.evaluated)
 
 
@@ -207,8 +211,7 @@ class _Search:
             elif since > _PATIENCE:
                 self._set(*best)
                 since = 0
-            if self.progress:
-                self.progress(min(self.evaluated, self.effort), self.effort, len(start))
+            self._report(len(start))
         return None
 
     def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses:
@@ -219,7 +222,12 @@ class _Search:
             self._round()
             if (area := self._area()) > best_area:
                 best, best_area = self.views, area
+            self._report(len(start))
         return best if shortfall(best) < shortfall(start) else start
+
+    def _report(self, n_views: int) -> None:
+        if self.progress:
+            self.progress(min(self.evaluated, self.effort), self.effort, n_views)
 
     def _set(self, views: SearchPoses, measured: Bools) -> None:
         self.views, self.measured = views, measured.copy()
