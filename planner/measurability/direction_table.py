@@ -189,15 +189,17 @@ class DirectionTable(Value):
             for end in (self.scanner.source, self.scanner.sensor)
         )
         part, *others = self.casters
-        for mark, ends, casters in (
+        pose, column = np.nonzero(found > 1)
+        mark = found[pose, column]
+        for bit, ends, casters in (
             (_SOURCE_PART, source, (part,)), (_SENSOR_PART, sensor, (part,)),
             (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
         ):  # fmt: skip
-            pose, column = np.nonzero(found & mark)
             for caster in casters:
-                is_blocked = caster.blocked(self.targets.lifted[rows[column]], ends[pose])
-                found[pose[is_blocked], column[is_blocked]] = 0
-                pose, column = pose[~is_blocked], column[~is_blocked]
+                some = np.flatnonzero(mark & bit)
+                is_blocked = caster.blocked(self.targets.lifted[rows[column[some]]], ends[pose[some]])
+                mark[some[is_blocked]] = 0
+        found[pose, column] = mark
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
         """Return (n, 18): rotation by columns, position, source and sensor of each pose."""

@@ -24,11 +24,11 @@ from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Ints32, Value
 
-EFFORTS = {"low": 20_000, "normal": 80_000, "high": 800_000}
+EFFORTS = {"low": 12_000, "normal": 48_000, "high": 600_000}
 """Poses that a search evaluates."""
 
-_PROPOSALS = 24  # of a view in a round
-_TESTED = 4  # best proposals of a view that are tested for reachability
+_PROPOSALS = 12  # of a view in a round
+_TESTED = 3  # best proposals of a view that are tested for reachability
 _LAST_PART = 0.1  # of the effort, for a larger area
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
 _VIEWS_PER_REMOVAL = 15  # one view of this many is left out at a time

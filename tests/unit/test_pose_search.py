@@ -88,4 +88,4 @@ def test_views_that_fall_short_are_not_taken(case):
 def test_effort_limits_the_evaluated_poses(case):
     """The search ends with the round in which the effort is exhausted; without fewer views, a tenth is left."""
     found = _search(case, required=2.0, effort=5_000)
-    assert 4_500 <= found.evaluated <= 4_500 + 24 * len(case[4])
+    assert 4_500 <= found.evaluated <= 4_500 + 12 * len(case[4])
