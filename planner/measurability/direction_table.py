@@ -132,6 +132,11 @@ class DirectionTable(Value):
             near=self.near[rows],
         )  # fmt: skip
 
+    def without(self, rows: Bools) -> "DirectionTable":
+        """Return the table with (S,) selected samples occluded in all directions."""
+        bits, edge_bits = (np.where(rows[:, None], np.uint8(0), each) for each in (self.bits, self.edge_bits))
+        return replace(self, bits=bits, edge_bits=edge_bits)
+
     def weights_measured(
         self, T_object_scanner: Floats, rows: Ints, starts: Ints, weights: Floats, thresholds: Floats
     ) -> Floats:
@@ -177,6 +182,7 @@ class DirectionTable(Value):
                 some = slice(first, first + together)
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
             found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
+            found[:, ~self.bits[rows].any(axis=1)] = 0
         if wanted is not None:
             found[(found > 1) & ~wanted] = 0
         self._decide_edges(T_object_scanner, rows, found)

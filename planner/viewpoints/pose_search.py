@@ -14,7 +14,7 @@ area. Effort is counted in evaluated poses. Object frame, metres.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -60,6 +60,19 @@ class PoseEvaluator(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A set-up in which poses are searched.
+
+    Attributes:
+        evaluator: of poses on the S samples.
+        are_reachable: (m, 4, 4) [m] -> (m,) whether the arm takes up each pose without collision.
+    """
+
+    evaluator: PoseEvaluator
+    are_reachable: Callable[[Floats], Bools]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SearchPoses(Value):
     """Poses of n views.
 
@@ -68,25 +81,30 @@ class SearchPoses(Value):
         distance: (n,) to the point at which each is aimed [m].
         origin: (n,) number among the initial views and the candidates of the pose from which each was moved.
         moved: (n,) whether the pose differs from that candidate's.
+        place: (n,) number of the set-up in which the part is measured.
     """
 
     T_object_scanner: Annotated[Floats, "n 4 4"]
     distance: Annotated[Floats, "n"]
     origin: Annotated[Ints, "n"]
     moved: Annotated[Bools, "n"]
+    place: Annotated[Ints, "n"]
 
     def __len__(self) -> int:
         return len(self.origin)
 
-    def pick(self, which: Ints) -> "SearchPoses":
+    def pick(self, which: Ints | Bools) -> "SearchPoses":
         """Return some of the poses."""
-        return SearchPoses(self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which])
+        return SearchPoses(
+            self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which],
+            self.place[which],
+        )  # fmt: skip
 
     def with_pose(self, view: int, T_object_scanner: Floats) -> "SearchPoses":
         """Return the poses with one view moved to a pose (4, 4) [m] near its own."""
         T, moved = self.T_object_scanner.copy(), self.moved.copy()
         T[view], moved[view] = T_object_scanner, True
-        return SearchPoses(T, self.distance, self.origin, moved)
+        return replace(self, T_object_scanner=T, moved=moved)
 
     def with_view(self, view: int, other: "SearchPoses") -> "SearchPoses":
         """Return the poses with one view replaced by a single other one."""
@@ -101,6 +119,7 @@ def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
         np.concatenate([part.distance for part in parts]),
         np.concatenate([part.origin for part in parts]),
         np.concatenate([part.moved for part in parts]),
+        np.concatenate([part.place for part in parts]),
     )
 
 
@@ -129,10 +148,9 @@ class SearchResult:
 def search_poses(
     initial: Ints,
     pool: SearchPoses,
-    evaluator: PoseEvaluator,
+    places: Sequence[Place],
     weights: Floats,
     *,
-    are_reachable: Callable[[Floats], Bools],
     shortfall: Shortfall,
     effort: int,
     rng: np.random.Generator,
@@ -143,9 +161,8 @@ def search_poses(
     Args:
         initial: (n,) candidates, numbers in `pool`.
         pool: reachable candidates.
-        evaluator: of poses on S samples.
+        places: set-ups by their numbers.
         weights: (S,) share of the surface of each sample.
-        are_reachable: (m, 4, 4) [m] -> (m,) whether the arm takes up each pose without collision.
         shortfall: share of the surface by which views miss the requirement, by exact rays; at most 0 if they hold it.
         effort: poses that are evaluated.
         rng: of proposals and accepted moves.
@@ -158,7 +175,7 @@ def search_poses(
     count, before_last_part = max(1, len(best) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
     search = None
     try:
-        search = _Search(pool, evaluator, weights, are_reachable, effort, rng, progress)
+        search = _Search(pool, places, weights, effort, rng, progress)
         while search.evaluated < before_last_part and len(best) > 1:
             count = min(count, len(best) - 1)
             found = search.repaired(best, count, shortfall, before_last_part)
@@ -179,19 +196,19 @@ class _Search:
     """State of a search: n current views with the S samples that they measure."""
 
     def __init__(
-        self, pool: SearchPoses, evaluator: PoseEvaluator, weights: Floats, are_reachable: Callable[[Floats], Bools],
-        effort: int, rng: np.random.Generator, progress: SearchProgress | None,
+        self, pool: SearchPoses, places: Sequence[Place], weights: Floats, effort: int, rng: np.random.Generator,
+        progress: SearchProgress | None,
     ) -> None:  # fmt: skip
-        self.pool, self.evaluator, self.weights, self.are_reachable = pool, evaluator, weights, are_reachable
+        self.pool, self.places, self.weights = pool, places, weights
         self.effort, self.rng, self.progress = effort, rng, progress
         self.evaluated, self.rounds = 0, 0
-        self.pool_measured = self.evaluator.measured(pool.T_object_scanner)
+        self.pool_measured = self._measured(pool)
         self.pool_of_row = csr_array(self.pool_measured.T)
         self._set(pool.pick(np.arange(0)), np.empty((0, len(weights)), dtype=np.bool_))
 
     def repaired(self, start: SearchPoses, removed: int, shortfall: Shortfall, effort: int) -> SearchPoses | None:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
-        measured = self.evaluator.measured(start.T_object_scanner)
+        measured = self._measured(start)
         goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
         kept = self._needed_most(measured, removed)
         self._set(start.pick(kept), measured[kept])
@@ -216,7 +233,7 @@ class _Search:
 
     def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses:
         """Return the views moved to a larger area with the remaining effort, if exact rays confirm it."""
-        self._set(start, self.evaluator.measured(start.T_object_scanner))
+        self._set(start, self._measured(start))
         best, best_area = start, self._area()
         while self.evaluated < self.effort:
             self._round()
@@ -224,6 +241,26 @@ class _Search:
                 best, best_area = self.views, area
             self._report(len(start))
         return best if shortfall(best) < shortfall(start) else start
+
+    def _measured(self, poses: SearchPoses, wanted: Bools | None = None) -> Bools:
+        """Return (n, S) whether each pose measures each sample; see `PoseEvaluator.measured`."""
+        found = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
+        for place in np.unique(poses.place):
+            own = np.flatnonzero(poses.place == place)
+            some = None if wanted is None else wanted[own]
+            found[own] = self.places[place].evaluator.measured(poses.T_object_scanner[own], wanted=some)
+        return found
+
+    def _sums(self, T: Floats, rows: Ints, starts: Ints, least: Floats) -> Floats:
+        """Return (n, P) approximate weights of the open rows that proposals (n, P, 4, 4) of the views measure."""
+        sums = np.empty(T.shape[:2])
+        for place in np.unique(self.views.place):
+            own = np.flatnonzero(self.views.place == place)
+            rows_of = np.concatenate([rows[starts[view] : starts[view + 1]] for view in own])
+            starts_of = np.concatenate([[0], np.cumsum(np.diff(starts)[own])])
+            evaluator = self.places[place].evaluator
+            sums[own] = evaluator.weights_measured(T[own], rows_of, starts_of, self.weights, least[own])
+        return sums
 
     def _report(self, n_views: int) -> None:
         if self.progress:
@@ -254,18 +291,22 @@ class _Search:
         n, T = len(self.views), self._perturbed()
         accepted = _TEMPERATURE * np.log(self.rng.random(n))
         rows, starts = list_open_rows(self.measured, self.count)
-        least = self._own_weights(rows, starts)
-        area = self.evaluator.weights_measured(T, rows, starts, self.weights, least + accepted)
+        least = self._own_weights(rows, starts) + accepted
+        area = self._sums(T, rows, starts, least)
         best = np.argsort(-area, axis=1, kind="stable")[:, :_TESTED]
-        view, rank = np.nonzero(np.take_along_axis(area, best, axis=1) >= (least + accepted)[:, None])
-        tested = T[view, best[view, rank]]
-        left = np.flatnonzero(self.are_reachable(tested))
+        view, rank = np.nonzero(np.take_along_axis(area, best, axis=1) >= least[:, None])
+        tested = replace(self.views.pick(view), T_object_scanner=T[view, best[view, rank]])
+        is_reachable = np.zeros(len(tested), dtype=np.bool_)
+        for place in np.unique(tested.place):
+            own = tested.place == place
+            is_reachable[own] = self.places[place].are_reachable(tested.T_object_scanner[own])
+        left = np.flatnonzero(is_reachable)
         while len(left):
             own, first = np.unique(view[left], return_index=True)
-            some = left[first]
-            is_moved = self._accepted(own, self.evaluator.measured(tested[some], wanted=self._open(own)), accepted[own])
+            some = tested.pick(left[first])
+            is_moved = self._accepted(own, self._measured(some, self._open(own)), accepted[own])
             for number in np.flatnonzero(is_moved):
-                self.views = self.views.with_pose(int(own[number]), tested[some[number]])
+                self.views = self.views.with_pose(int(own[number]), some.T_object_scanner[number])
             left = np.delete(left, first)
             left = left[~np.isin(view[left], own[is_moved])]
         if self.rounds % _FROM_POOL == _FROM_POOL - 1:

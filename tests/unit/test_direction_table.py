@@ -98,6 +98,16 @@ def test_some_samples_are_those_of_the_whole_table(case):
     np.testing.assert_array_equal(table.pick(rows).measured(T), table.measured(T)[:, rows])
 
 
+def test_selected_samples_are_occluded(case):
+    """Selected samples are measured by no pose, the others as before."""
+    _, _, T = case
+    rows = np.arange(2000) % 3 == 0
+    for table in (_table(case, LaserArea()), _table(case, LaserArea(max_spacing_mm=1.2))):
+        found = table.without(rows).measured(T)
+        assert not found[:, rows].any()
+        np.testing.assert_array_equal(found[:, ~rows], table.measured(T)[:, ~rows])
+
+
 def test_occluders_hide(case):
     """A plate above the part hides everything from above and nothing from below."""
     samples, caster, _ = case
