@@ -164,7 +164,7 @@ class HandEyeKeywords(TypedDict, total=False):
 class ExportKeywords(_CurrentFilesKeywords, total=False):
     """Options of `cell export`."""
 
-    format: Literal["krl", "csv", "json"]
+    format: Literal["krl", "rapid", "urscript", "ls", "csv", "json"] | None
     out: File | None
     name: str | None
     speed: float | None
