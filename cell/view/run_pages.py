@@ -36,6 +36,11 @@ PAGE_FILE = "view.html"
 PARTIAL_PAGE_FILE = "view.html.half"
 """Name of the page's first half while the plan is not finished."""
 
+VIEWS_LAYER = "Number of views"
+"""Title of the layer of measuring views."""
+
+_DEVIATION = "Deviation"
+
 _QUALITY_LAYERS = {
     "sigma": ("Expected standard deviation", "of a point along its ray, in the view with the smallest value"),
     "spacing": ("Spacing of points", "larger distance between neighbours, in the view with the smallest value"),
@@ -54,7 +59,7 @@ def run_page(run: Run) -> str:
     canvas, surface = measure_run(run, read_cell(run), [view.T_object_poses for view in run.plan.views])
     cell = with_ignored_faces(cell, canvas.mesh, canvas.ignored)
     part = part_surface(canvas, surface, regions=scene.regions)
-    return render_page(PageScene(title, cell, [part]), run_contents(run))
+    return render_page(PageScene(title, cell, [part], opens_on=VIEWS_LAYER), run_contents(run))
 
 
 def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequence[tuple[Ints, str]]) -> str:
@@ -115,7 +120,10 @@ def execution_page(
     points = done.points if recorded.scans else None
     contents = replace(execution_contents(run, recorded, done, cell), cloud=points)
     cell = with_ignored_faces(cell, known[0].mesh, known[0].ignored)
-    return render_page(PageScene(f"Scan of {scene.part.name}, points: {done.report.source}", cell, shown), contents)
+    title = f"Scan of {scene.part.name}, points: {done.report.source}"
+    has_deviation = done.surface is not None
+    opens_on = _DEVIATION if has_deviation else VIEWS_LAYER
+    return render_page(PageScene(title, cell, shown, opens_on=opens_on, is_alone=has_deviation), contents)
 
 
 def measure_run(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, MeasuredSamples]:
@@ -153,7 +161,7 @@ def part_surface(
     rows = canvas.vertex_samples()
     layers = list(first)
     bits = np.packbits(surface.seen[rows], axis=1, bitorder="little")
-    layers.append(Layer("Number of views", "views", bits.reshape(len(rows), -1), canvas.note))
+    layers.append(Layer(VIEWS_LAYER, "views", bits.reshape(len(rows), -1), canvas.note))
     for name, (title, note) in _QUALITY_LAYERS.items():
         if (values := surface.layers.get(name)) is None:
             continue
@@ -277,7 +285,7 @@ def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execut
         note += f"; {_thinning_note(len(small.faces), len(mesh.faces), 'faces')}; faces of closed holes are not marked"
     deviation = done.report.deviation
     limit = 1.0 if deviation is None else 1.5 * max(deviation.quantile_95_mm, 1e-3)  # as in deviation.png
-    return PageSurface("surface", small, [quantised_layer(values, "Deviation", "signed", (-limit, limit), note)])
+    return PageSurface("surface", small, [quantised_layer(values, _DEVIATION, "signed", (-limit, limit), note)])
 
 
 def _thinning_note(shown: int, of: int, what: str) -> str:
