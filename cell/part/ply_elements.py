@@ -24,6 +24,9 @@ _MARK = b"\xef\xbb\xbf"  # UTF-8
 _WINDOWS_NAN = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 
 
+_MORE = "its counts or properties are wrong, or it was copied as text; export or copy it again"
+
+
 class PlyError(ValueError):
     """A broken PLY file; the message follows the name of the file."""
 
@@ -79,11 +82,13 @@ def read_elements(content: bytes) -> dict[str, Element]:
     if not content.startswith(b"ply") or end is None:
         raise PlyError("is not a PLY file, or its header has no end; export it again")
     form, tables = _header(decode(content[: end.start()]))
-    body = content[end.end() :].removeprefix(_MARK)
     if form == "ascii":
+        body = content[end.end() :].removeprefix(_MARK)
         numbers = _ascii_numbers(body, len(lines_of(decode(content[: end.end()]))) - 1)
         return _from_numbers(tables, numbers)
-    return _from_bytes(tables, body, {"binary_little_endian": "<", "binary_big_endian": ">"}[form])
+    # In a binary file with CR as line end, a line feed after the header belongs to the data.
+    begin = end.start(1) + 1 if b"\n" not in content[: end.start()] else end.end()
+    return _from_bytes(tables, content[begin:], {"binary_little_endian": "<", "binary_big_endian": ">"}[form])
 
 
 def _header(text: str) -> tuple[str, list[_Table]]:
@@ -141,6 +146,8 @@ def _from_numbers(tables: list[_Table], numbers: Floats) -> dict[str, Element]:
             elements[table.name] = Element(table.count, scalars)
         else:
             elements[table.name], at = _ascii_rows(table, numbers, at)
+    if at < len(numbers):
+        raise PlyError(f"has {len(numbers) - at} numbers more than its header announces; {_MORE}")
     return elements
 
 
@@ -190,6 +197,8 @@ def _from_bytes(tables: list[_Table], body: bytes, order: str) -> dict[str, Elem
             elements[table.name], at = _rows_one_by_one(table, body, at, order)
         else:
             elements[table.name], at = element
+    if more := len(body[at:].strip()):
+        raise PlyError(f"has {more} bytes more than its header announces; {_MORE}")
     return elements
 
 

@@ -30,9 +30,9 @@ def read_obj(content: bytes) -> PolygonMesh:
     text = decode(content)
     if "\0" in text:
         raise PolygonError("is not an OBJ file: it contains binary data; export the mesh again")
-    if "\\" in text:
-        text = re.sub(r"\\[ \t]*(\r\n|\n|\r)", " ", text)
     lines = [line.partition("#")[0].strip() if "#" in line else line.strip() for line in lines_of(text)]
+    if "\\" in text:
+        lines = _joined(lines)
     for number, line in enumerate(lines):
         if line[:1] in ("s", "c", "b", "p") and line.split(None, 1)[0] in _FREE_FORM:
             raise PolygonError(f"has a free-form surface, line {number + 1}, which is not supported; export polygons")
@@ -66,6 +66,23 @@ def read_obj(content: bytes) -> PolygonMesh:
         )
     mesh = PolygonMesh(vertices, corners, counts)
     return mesh if colours is None else PolygonMesh(vertices, corners, counts, mesh.means(colours))
+
+
+def _joined(lines: list[str]) -> list[str]:
+    """Join vertices and faces whose lines end in a backslash with the next one, which becomes empty.
+
+    Names and comments can end in a backslash, too.
+    """
+    joined: list[str] = []
+    begin = 0
+    for line in lines:
+        if joined and joined[begin].endswith("\\") and joined[begin][:2] in ("v ", "v\t", "f ", "f\t"):
+            joined[begin] = f"{joined[begin][:-1]} {line}"
+            joined.append("")
+        else:
+            begin = len(joined)
+            joined.append(line)
+    return joined
 
 
 def read_off(content: bytes) -> PolygonMesh:
@@ -150,8 +167,9 @@ def read_ply(content: bytes) -> PolygonMesh:
         colours = _ply_colours(face) if face.count else None
         strips = elements.get("tristrips", Element(0))
         if strips.count:
-            (name,) = strips.lists
-            more = _strip_triangles(*strips.lists[name])
+            if len(strips.lists) != 1:
+                raise PlyError("has triangle strips without one list of vertex indices; export it again")
+            more = _strip_triangles(*next(iter(strips.lists.values())))
             corners = np.concatenate([corners, more.ravel()])
             counts, colours = np.concatenate([counts, np.full(len(more), 3)]), None
     except PlyError as error:
