@@ -31,6 +31,16 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
 
 _POLYGON_READERS: Mapping[str, Callable[[bytes], PolygonMesh]] = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
 
+_OTHER_CONTENT = {
+    b"version https://git-lfs": ("is a pointer of Git LFS, not the file itself; run git lfs pull",),
+    b"<!doctype html": ("is a web page, not a mesh; download the file itself",),
+    b"<html": ("is a web page, not a mesh; download the file itself",),
+    b"\x1f\x8b": ("is compressed (gzip); unpack it first",),
+    b"pk\x03\x04": ("is a ZIP archive; unpack it first", ".3mf"),
+    b"gltf\x02": ("is a binary glTF file; name it .glb", ".glb"),
+}
+"""Sentence for the first bytes of other files, and the suffixes that may have them."""
+
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -62,6 +72,9 @@ def read_bytes(path: Path) -> bytes:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     if not content:
         raise FileError(f"{path} is empty (0 bytes); export the mesh again")
+    for begin, what in _OTHER_CONTENT.items():
+        if content[:40].lower().startswith(begin) and path.suffix.lower() not in what[1:]:
+            raise FileError(f"{path} {what[0]}")
     return content
 
 
@@ -94,6 +107,10 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         return check_mesh(str(path), mesh.vertices, triangulate(mesh)[0])
     except (glb.GlbError, three_mf.ThreeMfError, PolygonError) as error:
         raise FileError(f"{path} {error}") from error
+    except UnicodeDecodeError as error:
+        raise FileError(
+            f"{path} has the byte order mark of {error.encoding} but other bytes; export it again"
+        ) from error
 
 
 def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
@@ -147,8 +164,12 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
         return _parse_ascii_stl(path, text)
     if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
         raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
-    if announced is None or announced:
-        size = f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)" if announced else "a longer header"
+    if announced is None or announced or len(content) > _STL_HEADER:
+        size = (
+            f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)"
+            if announced is not None
+            else "a longer header"
+        )
         raise FileError(
             f"{path} is cut short or no STL: it announces {size} but has {len(content)} bytes; "
             "export or copy the mesh again"

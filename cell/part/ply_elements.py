@@ -16,10 +16,21 @@ from planner.values import Floats, Ints
 
 _TYPE_NAMES = (
     "char=i1 uchar=u1 short=i2 ushort=u2 int=i4 uint=u4 float=f4 double=f8 "
-    "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 float32=f4 float64=f8"
+    "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 int64=i8 uint64=u8 float32=f4 float64=f8"
 )
 _TYPES = dict(pair.split("=") for pair in _TYPE_NAMES.split())
-_STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+_STRUCT_CODES = {
+    "i1": "b",
+    "u1": "B",
+    "i2": "h",
+    "u2": "H",
+    "i4": "i",
+    "u4": "I",
+    "i8": "q",
+    "u8": "Q",
+    "f4": "f",
+    "f8": "d",
+}
 _MARK = b"\xef\xbb\xbf"  # UTF-8
 _WINDOWS_NAN = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 
@@ -101,9 +112,9 @@ def _header(text: str) -> tuple[str, list[_Table]]:
                 case ["element", name, count]:
                     tables.append(_Table(name, int(count), []))
                 case ["property", "list", count_kind, kind, name] if not count_kind.startswith(("float", "double")):
-                    tables[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count_kind]))
+                    tables[-1].properties.append(_Property(name.lower(), _TYPES[kind], _TYPES[count_kind]))
                 case ["property", kind, name]:
-                    tables[-1].properties.append(_Property(name, _TYPES[kind]))
+                    tables[-1].properties.append(_Property(name.lower(), _TYPES[kind]))
                 case ["comment" | "obj_info" | "ply", *_] | []:
                     pass
                 case _:

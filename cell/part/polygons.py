@@ -66,6 +66,13 @@ def triangulate(mesh: PolygonMesh) -> tuple[Ints, Ints]:
             f"has a face (face {number + 1}) that refers to vertex {int(mesh.corners[corner])}, counted from 0, but "
             f"there are {len(mesh.vertices)} vertices; export the mesh again"
         )
+    infinite = ~np.isfinite(mesh.vertices[mesh.corners]).all(axis=1)
+    if infinite.any():
+        vertex = int(mesh.corners[np.argmax(infinite)])
+        raise PolygonError(
+            f"has coordinates that are not numbers (NaN or infinity), first at vertex {vertex + 1}; repair or export "
+            "the mesh again"
+        )
     starts = np.cumsum(mesh.counts) - mesh.counts
     triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
     owners: list[Ints] = [np.zeros(0, np.int64)]

@@ -79,7 +79,7 @@ class ScanOptions(CurrentFiles):
     acquire: Annotated[
         str,
         Option(
-            "Source of the points: simulated; files:DIR, one PLY, XYZ or PCD per view, named by its number; "
+            "Source of the points: simulated; files:DIR, one PLY, PCD or text file per view, named by its number; "
             "command:CMD, called with view, pose and the file to write; or another installed source.",
             _POINTS,
             metavar="SOURCE",
