@@ -51,8 +51,8 @@ def read_obj(content: bytes) -> PolygonMesh:
     weighted = weighted[rows[starts[weighted] + 3] != 1]
     if len(weighted):
         raise PolygonError(
-            f"has a vertex with a fourth number, line {of_vertices[weighted[0]] + 1}, a weight that is not 1, or a blank "
-            "in a number; export three coordinates"
+            f"has a vertex with a fourth number, line {of_vertices[weighted[0]] + 1}, a weight that is not 1, or a "
+            "blank in a number; export three coordinates"
         )
     colours = None
     if len(widths) and (widths >= 6).all():

@@ -163,7 +163,7 @@ def test_pcd_counts_are_compared(tmp_path: Path) -> None:
     """More points than announced, and a grid of another size, are refused; CSV is a text."""
     for kind, body in (("ascii", rows().encode()), ("binary", POINTS.astype("<f4").tobytes())):
         content = pcd("x y z", "4 4 4", "F F F", "1 1 1", kind, body + body)
-        with pytest.raises(FileError, match="announces 40|behind its 40 points"):
+        with pytest.raises(FileError, match=r"announces 40|behind its 40 points"):
             read_text(tmp_path, content, "points.pcd")
         with pytest.raises(FileError, match="announces 40 points but WIDTH 40 and HEIGHT 2"):
             read_text(tmp_path, content.replace(b"HEIGHT 1", b"HEIGHT 2"), "points.pcd")
