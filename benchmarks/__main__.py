@@ -71,6 +71,7 @@ REGISTRY = {
     "soak": "2,000 moves over each wire with 1 % of every fault, checked by the journal of the controller",
     "fuzz": "mangled frames and telegrams: crashes and false accepts of the codecs",
     "fuzz_inputs": "mangled mesh, TOML, JSON and npz files: read, refused, unexpected errors, slowest",
+    "generated_files": "mesh files of every format in many forms: equal to the closed form, refused, wrong",
     "path_watch": "arms that leave their path, and false alarms with noise, lag and jitter",
     "wire": "round trip of a state and of a command on loopback, beyond wire time: median and p99",
 }

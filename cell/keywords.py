@@ -117,6 +117,8 @@ class ScanKeywords(_EveryScanKeywords, _CurrentFilesKeywords, total=False):
 
     view: int | None
     setup_error: WithUnits
+    actual: File | None
+    actual_units: Units | None
     register: bool | None
     seed: int | None
     close_holes: bool

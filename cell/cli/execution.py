@@ -272,7 +272,7 @@ def _group() -> None:
 def hand_eye(
     *,
     files: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, XYZ, TXT or PCD).")
+        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, PCD or text).")
     ],
     options: HandEyeOptions,
     as_json: AsJson = False,

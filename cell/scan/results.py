@@ -563,7 +563,7 @@ def _execution_report(
 
 def _settings(cell: RunCell, options: Mapping[str, object], seed: int) -> ExecutedSettings:
     """Return the settings of an execution from the options of its manifest; a missing option is null."""
-    names = ("driver", "view", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
+    names = ("driver", "view", "actual", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
     return ExecutedSettings.model_validate(
         {
             **{name: options.get(name) for name in names},

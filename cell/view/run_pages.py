@@ -265,6 +265,7 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
     ]
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
+        rows += [("", deviation.edge_note)] if deviation.edge_note else []
     notes = list(timeline.notes)
     if report.n_points > MAX_POINTS:
         notes.append(_thinning_note(MAX_POINTS, report.n_points, "points"))
