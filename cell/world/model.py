@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
+from cell.robot.refusals import describe_refusal
 from cell.scene.model import Placement, Scene
 from cell.scene.settle import SettledScene, with_device
 from cell.world import self_collision
@@ -337,7 +338,9 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise SceneError("the scene does not compile as a model of shapes; check sizes and meshes") from error
+        raise SceneError(
+            f"the scene does not compile as a model of shapes: {describe_refusal(error)}; check sizes and meshes"
+        ) from error
 
 
 def _with_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
