@@ -62,7 +62,7 @@ def free_fields() -> list[re.Pattern[str]]:
     with FREE.open(encoding="utf-8", newline="") as file:
         names = [row["field"] for row in csv.DictReader(file)]
     assert len(names) > 20
-    below = r"(\..*|\[.*)?"
+    below = r"([.\[@].*)?"
     return [
         re.compile(re.escape(name.removesuffix(".*")) + (below if name.endswith(".*") else r"(\[\])*"))
         for name in names
@@ -136,6 +136,12 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
     with np.load(run / name) as stored:
         arrays = dict(stored)
 
+    views = [view["id"] for view in json.loads((run / "plan.json").read_text())["views"]]
+
+    def field(key: str, index: int) -> str:
+        row = index // max(1, arrays[key].size // max(1, len(arrays[key])))
+        return f"{name}:{key}" + (" of a view" if name == "viewpoints.npz" and row in views else "")
+
     def entry(array: Any, index: int) -> Any:
         new = array.copy()
         flat = new.reshape(-1)
@@ -148,16 +154,19 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
             flat[index] += 1
         return new
 
-    def made(key: str, what: str, value: Any) -> Change:
+    def made(key: str, what: str, value: Any, index: int = -1) -> Change:
         others = {own: array for own, array in arrays.items() if own != key}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **others, **({} if value is None else {key: value}))
-        return Change(f"{name}:{key}", what, buffer.getvalue())
+        return Change(field(key, index) if index >= 0 else f"{name}:{key}", what, buffer.getvalue())
 
     changes: list[Callable[[], Change]] = []
     for key, array in arrays.items():
-        chosen = rng.choice(array.size, min(each, array.size), replace=False)
-        changes += [lambda key=key, k=k, a=array: made(key, f"entry {k}", entry(a, k)) for k in chosen.tolist()]
+        chosen = rng.choice(array.size, min(each, array.size), replace=False).tolist()
+        if name == "viewpoints.npz" and key in ("T_object_scanner", "roll"):  # and of views of the plan
+            per_row = array.size // len(array)
+            chosen += [view * per_row + int(rng.integers(min(per_row, 12))) for view in views[:each]]
+        changes += [lambda key=key, k=k, a=array: made(key, f"entry {k}", entry(a, k), k) for k in chosen]
         changes.append(lambda key=key: made(key, "taken away", None))
         changes.append(lambda key=key, a=array: made(key, "its last taken away", a[:-1]))
         changes.append(lambda key=key, a=array: made(key, "its last twice", np.concatenate([a, a[-1:]])))
