@@ -520,6 +520,10 @@ class _Rest:
         nearest = int(np.argmin(self._gaps))
         return float(self._gaps[nearest]), self._names[self._below[nearest]]
 
+    def margin(self) -> float:
+        """Return the distance of its centre of mass from the edge of its contacts, negative outside [m]."""
+        return hull_margin(self._points[self._gaps <= CONTACT_DISTANCE][:, :2], centre_of_mass(self._solid)[:2])
+
     def move_to_balance(self) -> Floats | None:
         """Return the shortest move (3,) [m] that brings its centre of mass above its contacts; None if it is there."""
         points = self._points[self._gaps <= CONTACT_DISTANCE][:, :2]
@@ -556,6 +560,33 @@ def _to_hull(points: Floats, at: Floats) -> Floats:
     nearest = corners + np.clip(share, 0, 1)[:, None] * ends
     vector: Floats = nearest[np.argmin(np.linalg.norm(nearest - at, axis=1))] - at
     return vector
+
+
+def hull_margin(points: Floats, at: Floats) -> float:
+    """Return the distance of a point (2,) from the edge of the convex hull of points (N, 2), negative outside [m].
+
+    It is -inf if the points are on a line: a body on an edge tips.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return -np.inf
+    return -float((hull.equations[:, :2] @ at + hull.equations[:, 2]).max())
+
+
+def support_margin(world: World) -> float:
+    """Return the distance of the part's centre of mass from the edge of its contact polygon in plan view [m].
+
+    Supports are post, table, fixtures and floor below the part.
+
+    Returns:
+        Negative outside the polygon; -inf if nothing supports the part.
+    """
+    solids = {name: solid for name, solid in cell_solids(world).items() if name not in robot_bodies(world)}
+    below = [solid for name, solid in solids.items() if name != "part"]
+    return _Rest(solids["part"], below, world.floor, _FINE_GRID).margin()
 
 
 def centre_of_mass(solid: Solid) -> Floats:
