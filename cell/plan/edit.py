@@ -139,9 +139,15 @@ def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Float
     if T_base_object is not None:
         scene = with_placement(scene, T_base_object, run.scene)
     session = replace(session, origin=replace(session.origin, scene_path=run.folder / "scene.toml"))
-    with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
-        opened.conclude(_plan(opened.session, opened.settled, run, wanted, is_moved=T_base_object is not None))
-    return opened.path
+    opened = None
+    try:
+        with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
+            opened.conclude(_plan(opened.session, opened.settled, run, wanted, is_moved=T_base_object is not None))
+        return opened.path
+    except (UsageError, UnreachableError):  # nothing in the folder explains more than the message
+        if opened is not None:
+            opened.session.folder.discard()
+        raise
 
 
 def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, *, is_moved: bool) -> Verdict:
@@ -292,7 +298,7 @@ def _still_reachable(
     }
     if lost and (not may_leave_out or len(lost) == len(edited.views)):
         remedy = "move the part"
-        if before.is_single_setup:
+        if before.is_repairable:
             remedy = "use --repair to omit them and add the fewest others, or move the part"
         raise UnreachableError(
             f"at the placement of the part now the arm cannot reach {', '.join(lost.values())}; {remedy}"

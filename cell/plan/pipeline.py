@@ -390,7 +390,7 @@ def finish(
         report = report.model_copy(update=dict(annotations))
         file = files.write_plan(session.folder, report, plan, problem.candidates, problem.world)
         files.write_report(session.folder, report)
-        files.finish_page(session, report, file, motion, problem.world.T_base_object)
+        files.finish_page(session, report, file, motion, problem.world)
     return report
 
 

@@ -601,6 +601,11 @@ class Report(PlanResult):
         """Whether the coverage target applies to this plan alone."""
         return self.further_setup is None and not self.common_cover
 
+    @property
+    def is_repairable(self) -> bool:
+        """Whether the plan has a coverage target of its own, which a repair can restore."""
+        return self.is_single_setup and self.max_coverage is None
+
 
 # scene.resolved.json
 
