@@ -194,25 +194,32 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
         at_home: whether the other is a part of the robot at home.
     """
     out = minimum_translation(one, other)
-    cure = _move_object(world, one.name, _clear_move(world, one, other, out) if move is None else move)
+    cure = _move_object(world, one.name, _clear_move(world, one, other) if move is None else move)
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
     return f"{_named(world, one.name)} intersects {_named(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
-def _clear_move(world: World, one: Solid, other: Solid, shortest: Floats) -> Floats:
+def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0) -> Floats:
     """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
 
-    It is the given shortest separation of the two if no such move is found.
+    It is the shortest separation of the two alone if no such move is found.
+
+    Args:
+        world: the cell of both.
+        one: part, post, table or a fixture.
+        other: an object, or the robot.
+        gap: distance to the other afterwards [m].
     """
-    solids, move, around = cell_solids(world), shortest, {other.name}
+    shortest = move = minimum_translation(one, other, gap)
+    solids, around = cell_solids(world), set[str]()
     for _ in range(_DETOURS):
         hit = [name for name in _hit_by_move(world, solids, one.name, move) if name in solids]
         if not hit:
             return move
         around |= set(hit)
         pieces = [(other.vertices, other.faces), *((solids[name].vertices, solids[name].faces) for name in around)]
-        move = minimum_translation(one, Solid("obstacles", *concatenate_meshes(pieces)[:2], other.axes))
+        move = minimum_translation(one, Solid("obstacles", *concatenate_meshes(pieces)[:2], other.axes), gap)
     return move if not _hit_by_move(world, solids, one.name, move) else shortest
 
 
@@ -376,7 +383,7 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
         piece = min(distances, key=lambda each: distances[each], default="")
         if not piece or distances[piece] >= world.clearance - 1e-9:
             continue
-        move = minimum_translation(solids[name], robot_solid(world, solids), world.clearance)
+        move = _clear_move(world, solids[name], robot_solid(world, solids), world.clearance)
         if distances[piece] < 0 or penetrates(solids[name], solids[piece]):
             problems.append(_penetration(world, solids[name], solids[piece], move=move, at_home=True))
         else:
