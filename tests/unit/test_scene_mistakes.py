@@ -111,7 +111,8 @@ WARNINGS: dict[str, tuple[Mesh, dict[str, Any], tuple[str, ...]]] = {
     ),
     "fixture between part and wall": (
         block,
-        {"fixtures": [table(), box("wall", [50, 200, 120], [1315, 500, 10]), box("rail", [50, 60, 40], [1275, 500, -30])]},
+        {"fixtures": [table(), box("wall", [50, 200, 120], [1315, 500, 10]),
+                      box("rail", [50, 60, 40], [1275, 500, -30])]},
         ("'rail'", "'wall', 10.0 mm deep"),
     ),
     "fixture in the floor": (
