@@ -19,6 +19,7 @@ from cell.cli.options import (
 )
 from cell.errors import UsageError
 from cell.explore.options import SCAN_OPTIONS, ExploreOptions
+from cell.files import unused_path
 from cell.metrology.options import HandEyeOptions, LocateOptions
 from cell.scan.emulator_options import EmulateOptions
 from cell.scan.options import REAL_ROBOT, ScanOptions
@@ -229,6 +230,7 @@ def locate(
     from cell import api
     from cell.cli.terminal import Terminal
     from cell.report.plan_report import table
+    from cell.runs.digest import SHORT_DIGEST
 
     if out is None and (repair or keep_planned):
         raise UsageError("--repair and --keep-planned belong to the plan that --out makes; give --out")
@@ -241,14 +243,16 @@ def locate(
             print_json(found.as_json())
         else:
             again = [word for word in sys.argv[1:] if word != "--json"]
-            terminal.suggest(("cell", *again, "--out", "sim_runs/there"))
+            keep = ["--keep-planned"] if found.free_motions else []
+            mend = ["--repair"] if not found.motion_check.keeps_clearance and api.open_run(run).is_repairable else []
+            terminal.suggest(("cell", *again, "--out", unused_path(Path("sim_runs/there")), *keep, *mend))
         return
     if not keep_planned:
         found.require_determined()
     made = api.edit(
         run, repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
     )
-    rows = [*table(made.report), ("run folder", str(made.folder))]
+    rows = [*table(made.report), ("digest", made.digest[:SHORT_DIGEST]), ("run folder", str(made.folder))]
     terminal.print_result(
         {**found.as_json(), "made": made.as_json()}, "The plan there", rows,
         ("cell", "scan", made.folder), ("cell", "diff", run, made.folder),

@@ -12,6 +12,7 @@ import numpy as np
 
 from cell.runs import timeline as timelines
 from cell.runs.cell import RunCell, read_cell
+from cell.runs.next_commands import after_plan, drop_command
 from cell.runs.run import Execution, RecordedExecution, Run
 from cell.runs.schema import PlanView, Report
 from cell.scene.model import RegionTargets
@@ -176,10 +177,13 @@ def part_surface(
 
 def run_contents(run: Run) -> PageContents:
     """Return the views, the motion and the numbers of a run's plan, for a page in the run folder."""
-    return plan_contents(run.report, run.plan.views, run.motion, run.scene.T_base_object)
+    return plan_contents(run.report, run.plan.views, run.motion, run.scene.T_base_object, after_plan(run))
 
 
-def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats) -> PageContents:
+def plan_contents(
+    report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats,
+    following: Sequence[Sequence[str]],
+) -> PageContents:  # fmt: skip
     """Return the views, the motion and the numbers of a plan, for a page in its run folder.
 
     Args:
@@ -187,6 +191,7 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
         views: in visiting order.
         motion: the plan's.
         T_base_object: (4, 4) placement with a rotary table at 0 [m].
+        following: commands for the plan, with RUN for its folder.
     """
     timeline = timelines.plan_timeline(motion, rest=0.0)
     at = {stop.candidate: stop.begin for stop in timeline.stops}
@@ -198,7 +203,7 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
             ("clearance", _format_mm(own.segment_clearance_mm) + " on the path to it"),
-        ], _commands(number, view.T_base_scanner, is_single_setup=report.is_single_setup))
+        ], _commands(number, view.T_base_scanner, report))
         for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
@@ -215,8 +220,7 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
         ),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
     ]
-    has_table = any(view.e_deg for view in views)  # `cell why` does not support a table
-    commands = ["cell scan RUN", *([] if has_table else ["cell why RUN"]), "cell export RUN"]
+    commands = [" ".join(words) for words in following]
     return PageContents(page_views, (timeline.t, timeline.q), rows=rows, next_commands=commands, folder_depth=0)
 
 
@@ -225,13 +229,13 @@ def _pose_at_part(view: PlanView, T_base_object: Floats) -> Floats:
     return view.T_base_scanner if view.T_base_object is None else T_base_object @ view.T_object_scanner
 
 
-def _commands(number: int, T_base_scanner: Floats, *, is_single_setup: bool) -> list[str]:
+def _commands(number: int, T_base_scanner: Floats, report: Report) -> list[str]:
     """Return commands for a view, to be pasted; `--move` has its current pose."""
     position, abc = kuka_abc_from_pose(T_base_scanner)
     pose = ",".join(f"{value:.3f}".rstrip("0").rstrip(".") for value in (*1000 * position, *np.degrees(abc)))
-    drop = f"--drop {number}" + (" --repair" if is_single_setup else "")
-    edits = drop, f"--turn {number}:90", f"--move {number}:{pose}"
-    return [f"cell replay RUN --view {number}", *(f"cell edit RUN {edit}" for edit in edits)]
+    drop = drop_command(report, number)
+    edits = f"cell edit RUN --turn {number}:90", f"cell edit RUN --move {number}:{pose}"
+    return [f"cell replay RUN --view {number}", *([" ".join(drop)] if drop else []), *edits]
 
 
 def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, cell: CellGeometry) -> PageContents:
