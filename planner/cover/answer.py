@@ -199,9 +199,12 @@ def make_cover(
         if cost_and_bound is not None:
             cost, cost_bound = cost_and_bound
             is_proven = is_proven and cost - cost_bound <= COST_TOLERANCE * cost
-            # a cover of this cost has at least as many columns as the most expensive ones need for it
-            highest = int(instance.costs.max(initial=1)) + int(instance.group_costs.max(initial=0))
-            bound = -(-bound // highest)
+            # besides the forced columns, at least as many as the most expensive ones need for the rest of the bound
+            forced = form.forced_columns
+            per_group = int(instance.group_costs.max(initial=0))
+            highest = int(np.delete(instance.costs, forced).max(initial=1)) + per_group
+            rest = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
+            bound = len(forced) + max(-(-rest // highest), 0)
         lower_bound = len(idle) + bound
     if not instance.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
@@ -261,12 +264,17 @@ def _cost_and_bound(problem: CoverProblem, form: CanonicalForm, views: Ints, bou
     def cost_of(columns: Ints) -> float:
         return float(costs[columns].sum()) + float(group_costs[np.unique(group[columns])].sum())
 
-    given, lower = costs[form.columns], bound * unit
+    forced = form.forced_columns  # they are in every selection, so that their costs are exact
+    forced_cost = float(costs[form.columns[forced]].sum())
+    left = np.delete(np.arange(instance.n_columns), forced)
+    given, units, bound = costs[form.columns[left]], instance.costs[left], bound - int(instance.costs[forced].sum())
+    lower = bound * unit
     rounded_groups = np.rint(group_costs / unit)
-    if not (np.array_equal(given, instance.costs * unit) and np.array_equal(group_costs, rounded_groups * unit)):
+    if not (np.array_equal(given, units * unit) and np.array_equal(group_costs, rounded_groups * unit)):
         rounded = np.maximum(rounded_groups, 1.0)
-        added = float(np.maximum(instance.costs - given / unit, 0.0).sum())
+        added = float(np.maximum(units - given / unit, 0.0).sum())
         added += float(np.maximum(rounded - group_costs / unit, 0.0)[group_costs > 0].sum())
-        shares = np.concatenate((given / instance.costs, (group_costs / rounded)[group_costs > 0]))
+        shares = np.concatenate((given / units, (group_costs / rounded)[group_costs > 0]))
         lower = max(bound * float(shares.min(initial=unit)), (bound - added) * unit) * (1 - FLOAT_ERROR)
+    lower = max(lower, 0.0) + forced_cost
     return cost_of(views), min(lower + cost_of(form.idle_pins), cost_of(views))

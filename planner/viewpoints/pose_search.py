@@ -24,7 +24,7 @@ from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Ints32, Value
 
-EFFORTS = {"low": 12_000, "normal": 48_000, "high": 600_000}
+EFFORTS = {"low": 12_000, "normal": 48_000, "high": 800_000}
 """Poses that a search evaluates."""
 
 _PROPOSALS = 12  # of a view in a round
@@ -35,7 +35,7 @@ _VIEWS_PER_REMOVAL = 15  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
-_TEMPERATURE = 1.5e-4  # share of the surface
+_TEMPERATURE = 3e-4  # share of the surface
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
 
