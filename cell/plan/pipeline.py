@@ -44,6 +44,7 @@ from cell.plan.selection import (
     pose_error,
     pose_probabilities,
     select_least_time,
+    select_thoroughly,
     select_with_row_generation,
 )
 from cell.report import plots
@@ -323,15 +324,19 @@ def select_and_connect(
     with session.stage("select the views"):
         rng, before = session.rng(Stream.SELECTION), problem
         fresh = session.rng(Stream.FRESH_SAMPLES)
-        choice = initial = select_with_row_generation(problem.unpriced(), surface, rng, fresh)
-    searched, search = "", None
-    if append is not None and (reason := skip_reason(problem)):
-        searched = f"Poses are not searched: {reason}"
-    elif append is not None:
-        with _search_stage(session, len(initial[1].cover.views)) as report:
+        reason = "" if append is None else skip_reason(problem)
+        is_searched = append is not None and not reason
+        start = select_with_row_generation(problem.unpriced(), surface, rng, fresh, is_short=is_searched)
+    choice, search = start, None
+    if append is not None and is_searched:
+        with _search_stage(session, len(start[1].cover.views)) as report:
             draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
-            moved_problem, moved, search = search_views(*initial, surface, append, draws, others, rng, report)
+            moved_problem, moved, search = search_views(*start, surface, append, draws, others, rng, report)
             choice = moved_problem, moved
+    initial = start
+    if is_searched and choice[1] is start[1]:
+        choice = initial = start[0], select_thoroughly(*start, rng)
+    searched = f"Poses are not searched: {reason}" if reason else ""
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:
             choice = initial = select_least_time(*choice, rng)

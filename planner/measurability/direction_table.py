@@ -163,11 +163,10 @@ class DirectionTable(Value):
         )  # fmt: skip
         return sums
 
-    def measured(self, T_object_scanner: Floats, rows: Ints | None = None, wanted: Bools | None = None) -> Bools:
+    def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
         """Return (n, m) whether each of n poses (n, 4, 4) [m] measures each of (m,) rows; None: all samples.
 
-        Exact rays decide where a node has a neighbour that differs from it, if the pair is among the wanted ones (n, m)
-        or these are None. Other uncertain pairs count as not measured.
+        Exact rays decide where a node has a neighbour that differs from it.
         """
         rows = np.arange(len(self)) if rows is None else rows
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
@@ -183,8 +182,6 @@ class DirectionTable(Value):
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
             found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
             found[:, ~self.bits[rows].any(axis=1)] = 0
-        if wanted is not None:
-            found[(found > 1) & ~wanted] = 0
         self._decide_edges(T_object_scanner, rows, found)
         return np.asarray(found > 0)
 

@@ -51,11 +51,8 @@ class PoseEvaluator(Protocol):
         """
         ...
 
-    def measured(self, T_object_scanner: Floats, *, wanted: Bools | None = None) -> Bools:
-        """Return (n, S) whether each pose (n, 4, 4) [m] measures each sample.
-
-        Pairs that are not wanted (n, S) may count as not measured where that is uncertain; None: all are wanted.
-        """
+    def measured(self, T_object_scanner: Floats) -> Bools:
+        """Return (n, S) whether each pose (n, 4, 4) [m] measures each sample."""
         ...
 
 
@@ -242,13 +239,12 @@ class _Search:
             self._report(len(start))
         return best if shortfall(best) < shortfall(start) else start
 
-    def _measured(self, poses: SearchPoses, wanted: Bools | None = None) -> Bools:
-        """Return (n, S) whether each pose measures each sample; see `PoseEvaluator.measured`."""
+    def _measured(self, poses: SearchPoses) -> Bools:
+        """Return (n, S) whether each pose measures each sample."""
         found = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
         for place in np.unique(poses.place):
             own = np.flatnonzero(poses.place == place)
-            some = None if wanted is None else wanted[own]
-            found[own] = self.places[place].evaluator.measured(poses.T_object_scanner[own], wanted=some)
+            found[own] = self.places[place].evaluator.measured(poses.T_object_scanner[own])
         return found
 
     def _sums(self, T: Floats, rows: Ints, starts: Ints, least: Floats) -> Floats:
@@ -304,7 +300,7 @@ class _Search:
         while len(left):
             own, first = np.unique(view[left], return_index=True)
             some = tested.pick(left[first])
-            is_moved = self._accepted(own, self._measured(some, self._open(own)), accepted[own])
+            is_moved = self._accepted(own, self._measured(some), accepted[own])
             for number in np.flatnonzero(is_moved):
                 self.views = self.views.with_pose(int(own[number]), some.T_object_scanner[number])
             left = np.delete(left, first)
@@ -330,10 +326,6 @@ class _Search:
         n = len(self.views)
         view = np.repeat(np.arange(n), np.diff(starts))
         return np.bincount(view, self.weights[rows] * self.measured[view, rows], n).astype(np.float64)
-
-    def _open(self, view: Ints) -> Bools:
-        """Return (m, S) which rows no other view than each of (m,) views measures."""
-        return np.asarray(self.count == self.measured[view])
 
     def _accepted(self, view: Ints, measured: Bools, change: Floats) -> Bools:
         return accept_moves(self.measured, self.count, self.weights, view, measured, change)
