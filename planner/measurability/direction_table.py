@@ -102,15 +102,14 @@ class DirectionTable(Value):
         lifted = np.ascontiguousarray(targets.lifted)
         bits = _cast(lifted, frames, (part,), far, _COARSEST_PART)
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
-        # A direction that is free at one length is free at shorter ones.
         free = _cast(lifted, frames, occluders, float(lengths[-1]), _COARSEST_OTHERS)
         some = np.flatnonzero((free != _all_free()).any(axis=1))
-        shorter = [
-            _cast(lifted[some], frames[some], occluders, float(length), _COARSEST_OTHERS) for length in lengths[:-1]
-        ]
+        by_range = [free[some]]
+        for length in reversed(lengths[:-1]):  # a direction that is free at one length is free at shorter ones
+            by_range.append(_cast(lifted[some], frames[some], occluders, float(length), _COARSEST_OTHERS, by_range[-1]))
         row_of = np.full(len(targets), -1)
         row_of[some] = np.arange(len(some))
-        near_bits = np.stack([*shorter, free[some]], axis=1)
+        near_bits = np.stack(by_range[::-1], axis=1)
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
@@ -247,8 +246,20 @@ def _edges(bits: Bytes) -> Bytes:
     return np.packbits(edges.reshape(free.shape), axis=2, bitorder="little")
 
 
-def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, step: int) -> Bytes:
-    """Return (s, B) whether each node of s samples is free up to a length [m], packed; `step` of the first level."""
+def _cast(
+    lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, step: int,
+    known: Bytes | None = None,
+) -> Bytes:  # fmt: skip
+    """Return (s, B) whether each node of s samples is free up to a length [m], packed.
+
+    Args:
+        lifted: (s, 3) origins [m].
+        frames: (s, 12) of the samples.
+        casters: of what may occlude.
+        length: of the rays [m].
+        step: nodes between two nodes of the first level.
+        known: (s, B) nodes that are free at a greater length, packed.
+    """
     nodes = _node_directions()
     bits = np.empty((len(lifted), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
     for first in range(0, len(lifted), _TOGETHER):
@@ -256,8 +267,13 @@ def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], 
         origins, local = lifted[some], frames[some]
         free = np.full((len(origins), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
         free[:, ::step, ::step] = _TO_CAST
+        is_known = None
+        if known is not None:
+            is_known = np.unpackbits(known[some], axis=1, count=N_NODES * N_NODES, bitorder="little").view(np.bool_)
         level = step
         while True:
+            if is_known is not None:
+                free[(free == _TO_CAST) & is_known.reshape(free.shape)] = 1
             sample, node = list_nodes(free, level)
             directions = turn_nodes(nodes, local, sample, node)
             is_free = np.ones(len(sample), dtype=np.bool_)
