@@ -153,7 +153,8 @@ def require_text(words: Sequence[str]) -> None:
 
 
 def _interruption() -> str:
-    return f"stopped by {signals.last_signal()}; finished results are kept"
+    folder = signals.kept_folder()
+    return f"stopped by {signals.last_signal()}; finished results are kept{f' in {folder}' if folder else ''}"
 
 
 def _report(sentence: str, code: int, as_json: bool, *, is_printed: bool = False) -> int:
