@@ -41,6 +41,9 @@ _OTHER_CONTENT = {
 }
 """Sentence for the first bytes of other files, and the suffixes that may have them."""
 
+MAX_COORDINATE = 1e9
+"""Largest coordinate in the unit of the file: products of three lengths are finite, also in single precision."""
+
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -92,19 +95,25 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
     Raises:
         FileError: if the content is not a mesh of this format, has no faces, or a used coordinate is not finite.
     """
+    with np.errstate(over="ignore", invalid="ignore"):  # of transforms; `check_mesh` finds what is not finite
+        return check_mesh(str(path), *_read(path, content))
+
+
+def _read(path: Path, content: bytes) -> tuple[Floats, Ints]:
+    """Return vertices and triangles of a mesh file as they are."""
     suffix = path.suffix.lower()
     if suffix in STEP:
         solids = cad.read_step(str(path), content)
-        return check_mesh(str(path), solids.vertices, solids.faces)
+        return solids.vertices, solids.faces
     try:
         if suffix in (".glb", ".gltf"):
-            return check_mesh(str(path), *glb.triangles(content, path.parent if suffix == ".gltf" else None))
+            return glb.triangles(content, path.parent if suffix == ".gltf" else None)
         if suffix == ".3mf":
-            return check_mesh(str(path), *three_mf.triangles(content))
+            return three_mf.triangles(content)
         if suffix == ".stl":
-            return check_mesh(str(path), *_parse_stl(path, content))
+            return _parse_stl(path, content)
         mesh = _POLYGON_READERS[suffix](content)
-        return check_mesh(str(path), mesh.vertices, triangulate(mesh)[0])
+        return mesh.vertices, triangulate(mesh)[0]
     except (glb.GlbError, three_mf.ThreeMfError, PolygonError) as error:
         raise FileError(f"{path} {error}") from error
     except UnicodeDecodeError as error:
@@ -122,7 +131,7 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
         faces: (F, 3) corner indices.
 
     Raises:
-        FileError: if it has no faces, or a face has a missing or a non-finite corner.
+        FileError: if it has no faces, or a face has a missing, a non-finite or a too distant corner.
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise FileError(f"{source} is broken: its vertices do not have three coordinates; export the mesh again")
@@ -140,7 +149,16 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
             f"{source} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
             "repair or export the mesh again"
         )
+    _require_in_range(source, vertices)
     return vertices, faces
+
+
+def _require_in_range(source: str, vertices: Floats) -> None:
+    if (largest := float(np.abs(vertices).max())) > MAX_COORDINATE:
+        raise FileError(
+            f"{source} has a coordinate of {largest:.3g}, and the limit is {MAX_COORDINATE:g} in the unit of the file; "
+            "check scales and places in it, and export the mesh again"
+        )
 
 
 def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
@@ -258,6 +276,13 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
     Raises:
         FileError: if it cannot be read, or has no colours.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        mesh, colours = _read_coloured(path, metres)
+    _require_in_range(str(path), mesh.vertices / metres)
+    return mesh, colours
+
+
+def _read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
     content, suffix = read_bytes(path), path.suffix.lower()
     if suffix in STEP:
         vertices, faces, of_face = cad.read_coloured_step(str(path), content)

@@ -258,14 +258,17 @@ def _registration(report: ExecutionReport) -> list[str]:
     errors = [
         (
             view.number,
-            _or_unknown(view.pose_error_mm, 3),
-            _or_unknown(view.pose_error_after_mm, 3),
-            _or_unknown(view.pose_error_deg, 4),
-            _or_unknown(view.pose_error_after_deg, 4),
+            _or_unknown(view.determined_error_mm, 3),
+            _or_unknown(view.determined_error_after_mm, 3),
+            _or_unknown(view.determined_error_deg, 4),
+            _or_unknown(view.determined_error_after_deg, 4),
+            _or_unknown(view.undetermined_error_mm, 3),
+            _or_unknown(view.undetermined_error_deg, 4),
             view.registration,
         )
         for view in report.views
     ]
+    head = ("view", "determined error mm", "after", "determined error deg", "after", "undetermined mm", "deg", "result")
     return [
         "## Registration",
         "",
@@ -274,7 +277,10 @@ def _registration(report: ExecutionReport) -> list[str]:
         f"{_number(registration.iterations, 'step')}).",
         "",
         *_grid(("", "as reported", "registered"), residuals),
-        *_grid(("view", "position error mm", "after", "angle error deg", "after", "result"), errors),
+        *_grid(head, errors),
+        "Errors are those of the scan's points about their centre. Registration corrects motions that the surface "
+        "determines; along the others the reported pose stays, and the points lie on the surface all the same.",
+        "",
     ]
 
 

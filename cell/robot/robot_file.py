@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cell import files
 from cell.errors import FileError, SceneError
+from cell.robot.refusals import describe_refusal
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ def read_robot(
     import mujoco
 
     root = _parse(path)
+    _require_numbers(root, path)
     extras, assets = UrdfExtras(), dict[str, bytes]()
     if root.tag == "robot":
         extras = _prepare_urdf(root, path, packages or {}, assets)
@@ -138,21 +140,9 @@ def read_robot(
                 _require_only_kinematics(spec.compiler)
                 model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} is not accepted by MuJoCo: {describe_refusal(error)}; correct it") from error
+        cause = describe_refusal(error, has_lines=root.tag == "mujoco")  # a URDF was written anew without comments
+        raise FileError(f"{path} cannot be read as an arm: {cause}") from error
     return _select_arm(path, model, base, flange, extras, messages)
-
-
-_REFUSALS = {
-    "inertia must satisfy": "an inertia is impossible, no principal moment may exceed the sum of the other two",
-    "mass and inertia of moving bodies": "a moving body has no mass or inertia; give it an <inertial>",
-}
-
-
-def describe_refusal(error: ValueError) -> str:
-    """Return why MuJoCo refuses a description: common causes with their cure, and the element that it names."""
-    words = " ".join(str(error).split())
-    cause = next((ours for theirs, ours in _REFUSALS.items() if theirs in words), "")
-    return cause + words.partition("Element")[2].join((" (element", ")")) if cause else words
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -178,6 +168,31 @@ def _parse(path: Path) -> ElementTree.Element:
                     f"xacro {path.name} > robot.urdf"
                 )
     return root
+
+
+def _require_numbers(root: ElementTree.Element, path: Path) -> None:
+    """Refuse numbers that MuJoCo ignores: NaN, and a reversed range, after which a joint is endless.
+
+    Raises:
+        SceneError: with the element.
+    """
+    for element in root.iter():
+        where = f"{path}: <{element.tag}>" + (f" '{element.get('name')}'" if element.get("name") else "")
+        for key, value in element.attrib.items():
+            if element.tag != "limit" and key != "name" and "nan" in value.lower().split():
+                raise SceneError(f"{where} has NaN in '{key}'; give a number")
+        low, high = _range_of(element)
+        if element.tag == "joint" and low > high:
+            raise SceneError(f"{where} has the reversed range {low:g} to {high:g}; correct it")
+
+
+def _range_of(joint: ElementTree.Element) -> tuple[float, float]:
+    """Return the `range` of an MJCF joint; zeros if it has none."""
+    try:
+        low, high = map(float, joint.get("range", "0 0").split())
+    except ValueError:  # of the syntax, which MuJoCo reports
+        return 0.0, 0.0
+    return low, high
 
 
 MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
@@ -260,7 +275,7 @@ def _select_arm(
     anchors = model.body_pos[model.jnt_bodyid[chain]]
     if np.abs(anchors).max() > _MAX_LINK:
         raise SceneError(
-            f"{path}: joints are {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one seems to be in "
+            f"{path}: joints are {np.abs(anchors).max():.3g} m apart; a URDF is in metres, this one seems to be in "
             "millimetres"
         )
     velocity = np.array([extras.velocity.get(name, np.inf) for name in names])
@@ -352,9 +367,12 @@ def _prepare_urdf(
     options = {"fusestatic": "false", "discardvisual": "true", "strippath": "false", "balanceinertia": "true"}
     options |= {"boundmass": str(MIN_MASS), "boundinertia": str(MIN_INERTIA)}
     compiler.attrib.update(options)
-    extras = UrdfExtras()
+    extras, names = UrdfExtras(), set[str]()
     for joint in root.findall("joint"):
         name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
+        if name in names:
+            raise SceneError(f"{path}: the name '{name}' is given to two joints; rename one")
+        names.add(name)
         if limit is not None and (speed := _number(limit, "velocity", 0.0, path)) > 0.0:
             extras.velocity[name] = speed
         if mimic is not None:

@@ -602,6 +602,11 @@ class Report(PlanResult):
         """Whether the coverage target applies to this plan alone."""
         return self.further_setup is None and not self.common_cover
 
+    @property
+    def is_repairable(self) -> bool:
+        """Whether the plan has a coverage target of its own, which a repair can restore."""
+        return self.is_single_setup and self.max_coverage is None
+
 
 # scene.resolved.json
 
@@ -801,6 +806,15 @@ class ExecutedView(JsonTable):
     pose_error_deg: float | None = Field(description="angle between the two")
     pose_error_after_mm: float | None = Field(description="distance of the true pose from the registered one")
     pose_error_after_deg: float | None = Field(description="angle between the two")
+    determined_error_mm: float | None = optional(
+        "this and the next five split these errors at the centre of the scan's points, if it was registered: "
+        "translation along directions that its surface determines, as reported"
+    )
+    determined_error_after_mm: float | None = optional("the same as registered")
+    determined_error_deg: float | None = optional("rotation along these directions, as reported")
+    determined_error_after_deg: float | None = optional("the same as registered")
+    undetermined_error_mm: float | None = optional("translation along the other directions, which stays")
+    undetermined_error_deg: float | None = optional("rotation along these directions")
     registration: str | None = Field(description="result of the registration; null without one")
     free_directions: int = Field(description="directions in which registration could not determine the pose")
 
