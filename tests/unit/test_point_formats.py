@@ -71,6 +71,7 @@ AMBIGUOUS = {
     "fewer than announced": (f"{len(POINTS) + 1}\n" + rows(), "announces 41 points but has 40"),
     "integers first": (rows(before="7{k} "), "the first has only integers"),
     "binary": (b"LASF\0\1\2\3".decode(), "not a text file"),
+    "header only": ("x y z\n", "has no points"),
     "two columns": ("1 2\n3 4\n", "x, y and z are needed"),
     "Fortran": ("1.0D+01 2.0D+01 3.0D+01\n", "'1.0D[+]01'.*line 1"),
     "a word": (rows() + "1 2 three\n", f"'three' where a number is expected, line {len(POINTS) + 1}"),
