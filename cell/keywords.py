@@ -53,6 +53,8 @@ class _SceneKeywords(TypedDict, total=False):
     pose_sd: WithUnits
     alpha: float
     curve: bool
+    qif: File | None
+    u_over_t: float | None
     camera: Sequence[float] | None
     hide: Names
 

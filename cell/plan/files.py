@@ -44,6 +44,7 @@ from cell.runs.schema import (
     ResolvedScene,
     ScannerKeys,
 )
+from cell.scene.features import Inspection
 from cell.scene.fields import Table
 from cell.scene.file import load_scene
 from cell.scene.model import MeshFixture, Scene, with_rest
@@ -66,6 +67,7 @@ _PATH_STEPS = 12  # of the scanner's path between two via points
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     """Return the sha256 of the inputs of a plan: the part, and the scene with files by their content."""
     optional = {"region": scene.region, "setup": scene.setup, "table": scene.table.enabled}
+    optional |= {"feature": scene.feature, "inspection": scene.inspection != Inspection()}
     content = scene.model_dump(mode="json", exclude={key for key, given in optional.items() if not given})
     for region in content.get("region", ()):
         if region["painted"] is not None:

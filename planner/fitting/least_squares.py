@@ -120,7 +120,7 @@ def fit(kind: ShapeKind, points: Floats, start: Shape | None = None, weights: Fl
 def _solve(kind: ShapeKind, points: Floats, start: Shape | None, w: Floats) -> tuple[Shape, list[Shape]]:
     """Return the best shape of centred points of unit extent, and others that fit equally well."""
     if kind is ShapeKind.LINE or kind is ShapeKind.PLANE:
-        axes = np.linalg.svd(np.sqrt(w)[:, None] * points, full_matrices=True)[2]
+        axes = np.linalg.svd(np.sqrt(w)[:, None] * points, full_matrices=False)[2]
         axis = axes[0] if kind is ShapeKind.LINE else axes[2]
         return Shape(kind, np.zeros(3), axis if start is None or axis @ start.axis >= 0 else -axis), []
     if kind is ShapeKind.CIRCLE:
@@ -252,7 +252,7 @@ def _starts(kind: ShapeKind, points: Floats, w: Floats) -> list[Shape]:
     height, turn = k / _AXES, np.pi * (1 + np.sqrt(5)) * k
     across = np.sqrt(1 - height**2)
     axes = np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
-    axes = np.concatenate([axes, np.linalg.svd(points, full_matrices=True)[2]])
+    axes = np.concatenate([axes, np.linalg.svd(points, full_matrices=False)[2]])
     build: Callable[[Floats, Floats, Floats], Shape] = _cylinder_about if kind is ShapeKind.CYLINDER else _cone_about
     found = [build(axis, points, w) for axis in axes]
     order = np.argsort([_cost(each, points, w) for each in found], kind="stable")[:_STARTS]
