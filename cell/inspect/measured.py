@@ -26,6 +26,7 @@ CELLS = 300
 MAX_POINTS = 40_000
 """Points of a patch; more are thinned evenly."""
 
+_CELL_POINTS = 16  # points of a cell where a patch has few
 _OUTLIER = 6.0  # robust standard deviations beyond which a point is no part of the surface
 _EDGE_SHARE = 6.0  # the edge band is at most this part of a patch's width
 _SPARSE = 0.3  # of the median number of points: a cell with fewer is not used for form
@@ -146,6 +147,18 @@ class Association:
                     away = np.asarray(cKDTree(surface.outline).query(closest.point[own], workers=1)[0])
                     own = own[away >= band]
                 found[name].append(own)
+        return found
+
+    def without_facets(self, points: Floats) -> Floats:
+        """Return points (N, 3) on the triangles of the reference moved to the surfaces that these approximate."""
+        closest, found = self.nearest.closest(points), points.copy()
+        for feature in self.plan.features:
+            for patch, surface in zip(feature.patches, self.surfaces[feature.name], strict=True):
+                shape = patch.shape
+                if shape is not None and shape.kind is not ShapeKind.PLANE:
+                    own = np.flatnonzero(np.isin(closest.face, surface.triangles))
+                    foot = closest.point[own]
+                    found[own] = points[own] - shape.distances(foot)[:, None] * shape.normals(foot)
         return found
 
     def corners(self, patch: Patch, surface: PatchSurface) -> Floats:
@@ -276,7 +289,7 @@ def _cells(
 ) -> Cells:  # fmt: skip
     """Combine points in the cells of a grid."""
     points = measured.points[rows]
-    size = np.sqrt(area / min(CELLS, max(len(rows) / 4, 12)))
+    size = np.sqrt(area / min(CELLS, max(len(rows) / _CELL_POINTS, 12)))
     _, cell = np.unique(np.floor(points / size).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()
     count = np.bincount(cell)
