@@ -152,6 +152,21 @@ class LocateKeywords(TypedDict, total=False):
     tolerance: float
 
 
+class FeaturesKeywords(TypedDict, total=False):
+    """Options of `cell features`."""
+
+    units: Units | None
+    qif: File | None
+
+
+class InspectKeywords(FeaturesKeywords, total=False):
+    """Options of `cell inspect`."""
+
+    points_units: Units | None
+    search: WithUnits
+    point_sd: float | None
+
+
 class HandEyeKeywords(TypedDict, total=False):
     """Options of `cell calibrate hand-eye`."""
 

@@ -109,11 +109,11 @@ def _range(g: Floats) -> Floats:
 
 
 def _twice_largest(g: Floats) -> Floats:
-    return 2 * np.abs(g).max(axis=-1)
+    return np.asarray(2 * np.abs(g).max(axis=-1))
 
 
 def _twice_longest(g: Floats) -> Floats:
-    return 2 * np.linalg.norm(g.reshape(*g.shape[:-1], -1, 3), axis=-1).max(axis=-1)
+    return np.asarray(2 * np.linalg.norm(g.reshape(*g.shape[:-1], -1, 3), axis=-1).max(axis=-1))
 
 
 def _first(g: Floats) -> Floats:
@@ -122,7 +122,7 @@ def _first(g: Floats) -> Floats:
 
 def _largest_range(sections: Ints) -> Reduce:
     def reduce(g: Floats) -> Floats:
-        return np.max([_range(g[..., sections == k]) for k in np.unique(sections)], axis=0)
+        return np.asarray(np.max([_range(g[..., sections == k]) for k in np.unique(sections)], axis=0))
 
     return reduce
 
@@ -430,7 +430,7 @@ class Evaluation:
         if shape is not None:
             return shape.distances(points)
         closest = self.nearest.closest(points)
-        return np.einsum("nj,nj->n", points - closest.point, self.nearest.normals(closest))
+        return np.asarray(np.einsum("nj,nj->n", points - closest.point, self.nearest.normals(closest)))
 
     def _own_fit(self, keys: Sequence[tuple[str, int]], points: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return the best fit (4, 4) of cells to their nominal surfaces, and the projection of their errors."""

@@ -276,7 +276,7 @@ def _patch(mesh: TriangleMesh, face: CadFace, own: Bools) -> Patch:
         shape = Shape(kind, point, axis / np.linalg.norm(axis), face.radius or 0.0, face.half_angle or 0.0)
         shape = shape.at_foot(centre)
     return Patch(
-        kind="mesh" if kind is None else kind.value,  # type: ignore[arg-type]  # no line or circle among the faces
+        kind="mesh" if kind is None else kind.value,
         point_mm=_triple(1000 * shape.point),
         axis=_triple(shape.axis),
         radius_mm=float(1000 * shape.size),

@@ -137,7 +137,7 @@ class Association:
         """Return the rows of points (N, 3) that lie on each patch of each feature, away from its edges."""
         closest = self.nearest.closest(points)
         near = closest.distance <= self.plan.reach_mm / 1000
-        found = {}
+        found: dict[str, list[Ints]] = {}
         for name, surfaces in self.surfaces.items():
             found[name] = []
             for surface in surfaces:
@@ -167,9 +167,10 @@ class Association:
         vertices = self.reference.vertices[np.unique(self.reference.faces[surface.triangles])]
         if shape is None or shape.kind is ShapeKind.SPHERE:
             return vertices.mean(axis=0)[None] if shape is None else shape.point[None]
-        low, high = ((vertices - shape.point) @ shape.frame).min(axis=0), (
-            (vertices - shape.point) @ shape.frame
-        ).max(axis=0)
+        low, high = (
+            ((vertices - shape.point) @ shape.frame).min(axis=0),
+            ((vertices - shape.point) @ shape.frame).max(axis=0),
+        )
         if shape.kind is ShapeKind.PLANE:
             local = [(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])]
         else:
@@ -195,7 +196,12 @@ def measure_features(association: Association, measured: MeasuredPoints) -> dict
 
 
 def _measure_patch(
-    association: Association, feature: Feature, patch: Patch, surface: PatchSurface, rows: Ints, measured: MeasuredPoints
+    association: Association,
+    feature: Feature,
+    patch: Patch,
+    surface: PatchSurface,
+    rows: Ints,
+    measured: MeasuredPoints,
 ) -> MeasuredPatch:
     shape, corners = patch.shape, association.corners(patch, surface)
     if len(rows) > MAX_POINTS:
@@ -296,7 +302,7 @@ def _cells(
     n_cells, n_views = len(count), len(measured.origins)
 
     def total(values: Floats) -> Floats:
-        return np.bincount(cell, weights=values, minlength=n_cells)
+        return np.bincount(cell, weights=values, minlength=n_cells).astype(np.float64)
 
     feet = points - residuals[:, None] * normals
     mean_normal = np.stack([total(column) for column in normals.T], axis=1)

@@ -234,9 +234,7 @@ class _Reader:
         assert isinstance(characteristics, list)
         characteristics.append(made)
 
-    def _content(
-        self, kind: str, definition: ElementTree.Element, nominal: ElementTree.Element
-    ) -> dict[str, object]:
+    def _content(self, kind: str, definition: ElementTree.Element, nominal: ElementTree.Element) -> dict[str, object]:
         """Return tolerance, nominal value, datums and zone."""
         found: dict[str, object] = {}
         is_angle = _KINDS[kind] == "angle"
@@ -330,7 +328,11 @@ class _FaceFinder:
         """Return whether all points (N, 3) lie on a CAD face."""
         faces = self._mesh.faces[self._cad.of_triangle == index]
         corners = self._mesh.vertices[faces].reshape(-1, 3)
-        if not len(faces) or (points < corners.min(axis=0) - _NEAR).any() or (points > corners.max(axis=0) + _NEAR).any():
+        if (
+            not len(faces)
+            or (points < corners.min(axis=0) - _NEAR).any()
+            or (points > corners.max(axis=0) + _NEAR).any()
+        ):
             return False
         if index not in self._queries:
             self._queries[index] = ClosestPointQuery(TriangleMesh(self._mesh.vertices, faces))

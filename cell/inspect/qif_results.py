@@ -1,7 +1,7 @@
 """Results in QIF 3: the QIF file of the characteristics with items and measurements added.
 
-Each evaluated characteristic becomes an item that refers to its nominal characteristic, and a measurement that refers to
-the item. Its combined uncertainty is U / 2. Lengths are in millimetres, angles in the file's unit of angle.
+Each evaluated characteristic becomes an item that refers to its nominal characteristic, and a measurement of the item.
+Its combined uncertainty is U / 2. Lengths are in millimetres, angles in the file's unit of angle.
 """
 
 import uuid
@@ -65,9 +65,11 @@ def qif_results(source: bytes, result: InspectionResult) -> bytes:
     overall = "FAIL" if "fail" in verdicts else "PASS" if verdicts <= {"pass", "no tolerance"} else "UNKNOWN"
     _add(_add(one, "InspectionStatus"), "InspectionStatusEnum").text = overall
     root.set("idMax", str(number))
-    if (document := root.find(_tag("QPId"))) is not None:  # another document than its source, the same for equal results
+    if (
+        document := root.find(_tag("QPId"))
+    ) is not None:  # another document than its source, the same for equal results
         document.text = str(uuid.uuid5(uuid.NAMESPACE_OID, (document.text or "") + result.model_dump_json()))
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
 def _tag(name: str) -> str:

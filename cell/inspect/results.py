@@ -132,9 +132,7 @@ def inspection_result(
         alignment=alignment,
         rule=RULE,
         characteristics=tuple(map(_measured, measurements)),
-        features=tuple(
-            _element(name, patch) for name, feature in features.items() for patch in feature.patches
-        ),
+        features=tuple(_element(name, patch) for name, feature in features.items() for patch in feature.patches),
         unsupported=plan.unsupported,
         notes=(*plan.notes, *notes),
     )
@@ -233,7 +231,9 @@ def markdown(result: InspectionResult) -> list[str]:
         lines += ["", f"Verdicts: {result.rule}. Alignment: {result.alignment}."]
     causes = [f"{each.name}: {each.cause}" for each in result.characteristics if each.cause and not result.is_predicted]
     methods = sorted({f"{each.kind}: {each.method}" for each in result.characteristics if each.method})
-    notes = [f"{each.name}: {each.note}" for each in result.characteristics if each.note and each.note != "by least squares"]
+    notes = [
+        f"{each.name}: {each.note}" for each in result.characteristics if each.note and each.note != "by least squares"
+    ]
     for name, sentences in (
         ("Not measured", causes), ("Methods", methods), ("Notes", [*result.notes, *notes]),
         ("Not supported", result.unsupported),

@@ -1,4 +1,4 @@
-"""Tables `[[feature]]` and `[inspection]` of the scene: features of the part, their characteristics, their inspection."""
+"""Tables `[[feature]]` and `[inspection]` of the scene: features of the part, and settings of their inspection."""
 
 from typing import Annotated, Literal
 
@@ -9,8 +9,8 @@ from cell.scene.options import Option
 
 FeatureKind = Literal["plane", "cylinder", "cone", "sphere", "circle", "width", "surface"]
 Kind = Literal[
-    "size", "form", "roundness", "position", "parallelism", "perpendicularity", "angularity", "profile", "distance", "angle",
-    "coaxiality", "runout", "total-runout",
+    "size", "form", "roundness", "position", "parallelism", "perpendicularity", "angularity", "profile", "distance",
+    "angle", "coaxiality", "runout", "total-runout",
 ]  # fmt: skip
 Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[^|\r\n]*$")]
 
