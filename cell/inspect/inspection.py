@@ -1,6 +1,6 @@
 """Inspection of points: characteristics of a scene or a QIF file, alignment, evaluation, files of the results."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,21 +11,26 @@ from cell.errors import SceneError
 from cell.files import read_bytes
 from cell.inspect import pictures, qif
 from cell.inspect.alignment import fit_reference_points
-from cell.inspect.evaluation import Evaluation, Measurement
+from cell.inspect.evaluation import Evaluation
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
+from cell.inspect.prediction import predict_features, predicted_measurements
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown
 from cell.part.workpiece import Workpiece
+from cell.runs.run import Run
+from cell.runs.schema import parsed
 from cell.scene.model import Scene
 from planner.geometry.mesh import TriangleMesh
+from planner.ports import RayCaster, Scanner
 from planner.registration.cloud import ScanCloud
 from planner.registration.registration import register
 from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
-FEATURES, RESULTS, TABLE, QIF_SOURCE, QIF_RESULTS, PAGE = (
-    "features.json", "features.json", "characteristics.csv", "characteristics.qif", "results.qif", "features.html",
+FEATURES, RESULTS, PREDICTED, TABLE, QIF_SOURCE, QIF_RESULTS, PAGE = (
+    "features.json", "features.json", "uncertainty.json", "characteristics.csv", "characteristics.qif", "results.qif",
+    "features.html",
 )  # fmt: skip
 _RPS_POINTS = 12  # measured points near a reference point, whose mean is used
 _FIT_POINTS = 20_000  # of the best fit
@@ -67,6 +72,11 @@ def plan_inspection(scene: Scene, part: Workpiece) -> InspectionPlan | None:
         edge_mm=settings.edge_mm,
         reach_mm=settings.reach_mm,
     )
+
+
+def read_plan(run: Run) -> InspectionPlan | None:
+    """Return the features and characteristics of a run; None without them."""
+    return parsed(InspectionPlan, run.artefact(FEATURES), run.folder / FEATURES) if run.has(FEATURES) else None
 
 
 def qif_source(scene: Scene) -> bytes | None:
@@ -181,14 +191,30 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
     return T, f"reference point system of {len(nominal)} points, largest deviation {worst:.4f} mm{datums}"
 
 
-def failed_demands(plan: InspectionPlan, measurements: list[Measurement]) -> list[str]:
-    """Return a sentence about each characteristic without value, or whose uncertainty exceeds its share of T."""
-    found = []
-    for each in measurements:
-        tolerance, name = each.characteristic.tolerance, each.characteristic.name
-        if each.expanded_uncertainty is None:
-            found.append(f"{name}: not measured, {each.cause}")
-        elif plan.u_over_t is not None and tolerance and each.expanded_uncertainty > plan.u_over_t * tolerance:
-            ratio = each.expanded_uncertainty / tolerance
-            found.append(f"{name}: U/T is {ratio:.2f}, more than {plan.u_over_t:g}")
-    return found
+def predict_plan(
+    plan: InspectionPlan,
+    reference: TriangleMesh,
+    T_object_poses: Floats,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    pose_sd: tuple[float, float],
+    part: str,
+) -> InspectionResult:
+    """Predict the uncertainty of the characteristics by the views of a plan.
+
+    Args:
+        plan: features and characteristics.
+        reference: the part.
+        T_object_poses: (n, K, 4, 4) poses of the views [m].
+        scanner: with a model of the standard deviation of its points.
+        casters: of the part and of occluders.
+        pose_sd: standard deviations of executed poses [mm, deg].
+        part: its name.
+    """
+    association = Association(reference, plan)
+    features = predict_features(association, T_object_poses, scanner, casters)
+    sd = np.tile([pose_sd[0] / 1000, np.radians(pose_sd[1])], (len(T_object_poses), 1))
+    return inspection_result(
+        plan, predicted_measurements(plan, association, features, sd), features, part=part,
+        source=f"{len(T_object_poses)} planned views", alignment="", is_simulated=False, is_predicted=True,
+    )  # fmt: skip

@@ -23,7 +23,7 @@ from planner.values import Bools, Floats, Ints, Value
 CELLS = 300
 """About the number of cells of a patch: enough for the form of a surface, few enough that noise averages."""
 
-MAX_POINTS = 40_000
+MAX_POINTS = 100_000
 """Points of a patch; more are thinned evenly."""
 
 _CELL_POINTS = 16  # points of a cell where a patch has few
@@ -87,8 +87,7 @@ class MeasuredPatch:
         share: of the area that has points.
         sigma: standard deviation of the points about the shape [m].
         doubts: reasons why the shape is not determined.
-        rows: (M,) rows of the used points.
-        deviations: (M,) of the used points from the fitted shape [m].
+        missed: demands on a plan that are not met.
     """
 
     patch: Patch
@@ -100,8 +99,7 @@ class MeasuredPatch:
     share: float = 0.0
     sigma: float = 0.0
     doubts: tuple[str, ...] = ()
-    rows: Ints | None = None
-    deviations: Floats | None = None
+    missed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,12 +140,15 @@ class Association:
             found[name] = []
             for surface in surfaces:
                 own = np.flatnonzero(near & np.isin(closest.face, surface.triangles))
-                band = min(self.plan.edge_mm / 1000, surface.width / _EDGE_SHARE)
-                if len(own) and len(surface.outline) and band > 0:
-                    away = np.asarray(cKDTree(surface.outline).query(closest.point[own], workers=1)[0])
-                    own = own[away >= band]
-                found[name].append(own)
+                found[name].append(own[self.off_edge(surface, closest.point[own])])
         return found
+
+    def off_edge(self, surface: PatchSurface, points: Floats) -> Bools:
+        """Return whether points (N, 3) of a patch are away from its edges."""
+        band = min(self.plan.edge_mm / 1000, surface.width / _EDGE_SHARE)
+        if not len(points) or not len(surface.outline) or band == 0:
+            return np.ones(len(points), dtype=np.bool_)
+        return np.asarray(cKDTree(surface.outline).query(points)[0]) >= band
 
     def without_facets(self, points: Floats) -> Floats:
         """Return points (N, 3) on the triangles of the reference moved to the surfaces that these approximate."""
@@ -219,10 +220,10 @@ def _measure_patch(
         keep = _inliers(off)
         gain = np.zeros((N_COMPONENTS, int(keep.sum())))
         rows, off, normals = rows[keep], off[keep], normals[keep]
-        cells, sigma = _cells(measured, rows, normals, off, gain, area), float(np.std(off))
         nominal = Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
+        cells, sigma = _cells(measured, rows, nominal, normals, off, gain, area), float(np.std(off))
         share = _share(association, surface, measured.points[rows])
-        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma, (), rows, off)
+        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma)
     found = fit_patch(feature, shape, measured.points[rows])
     keep = _inliers(found.residuals)
     if not keep.all() and keep.sum() >= needed:
@@ -230,11 +231,11 @@ def _measure_patch(
         found = fit_patch(feature, shape, measured.points[rows])
     normals = found.shape.normals(measured.points[rows]) if feature.kind != "circle" else _radial(found, measured, rows)
     gain = np.einsum("knj,nj->kn", found.gain, normals)
-    cells = _cells(measured, rows, normals, found.residuals, gain, area, found.sigma)
+    cells = _cells(measured, rows, found.shape, normals, found.residuals, gain, area, found.sigma)
     share = _share(association, surface, measured.points[rows])
     return MeasuredPatch(
         patch, found.shape, cells, corners, len(rows), count - len(rows), share, found.sigma,
-        found.doubts, rows, found.residuals,
+        found.doubts,
     )  # fmt: skip
 
 
@@ -289,14 +290,21 @@ def _share(association: Association, surface: PatchSurface, points: Floats) -> f
     return float(areas[distance <= reach].sum() / areas.sum())
 
 
+def cells_of_points(count: int) -> int:
+    """Return the number of cells for a number of points of a patch."""
+    return int(min(CELLS, max(count / _CELL_POINTS, 12)))
+
+
 def _cells(
-    measured: MeasuredPoints, rows: Ints, normals: Floats, residuals: Floats, gain: Floats, area: float,
+    measured: MeasuredPoints, rows: Ints, shape: Shape, normals: Floats, residuals: Floats, gain: Floats, area: float,
     scatter: float = 0.0,
 ) -> Cells:  # fmt: skip
     """Combine points in the cells of a grid."""
     points = measured.points[rows]
-    size = np.sqrt(area / min(CELLS, max(len(rows) / _CELL_POINTS, 12)))
-    _, cell = np.unique(np.floor(points / size).astype(np.int64), axis=0, return_inverse=True)
+    size = np.sqrt(area / cells_of_points(len(rows)))
+    feet = points - residuals[:, None] * normals
+    local = (feet - shape.point) @ shape.frame  # in which a plane lies in the middle of one layer
+    _, cell = np.unique(np.floor(local / size + 0.5).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()
     count = np.bincount(cell)
     n_cells, n_views = len(count), len(measured.origins)
@@ -304,9 +312,6 @@ def _cells(
     def total(values: Floats) -> Floats:
         return np.bincount(cell, weights=values, minlength=n_cells).astype(np.float64)
 
-    feet = points - residuals[:, None] * normals
-    mean_normal = np.stack([total(column) for column in normals.T], axis=1)
-    mean_normal /= np.linalg.norm(mean_normal, axis=1, keepdims=True)
     # The middle of the feet leaves a curved surface; the foot nearest to it does not.
     middle = np.stack([total(column) for column in feet.T], axis=1) / count[:, None]
     away = np.linalg.norm(feet - middle[cell], axis=1)
@@ -314,13 +319,14 @@ def _cells(
     first = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
     means = total(residuals) / count
     sigma = measured.sigma[rows]
-    known = float(np.sqrt(np.mean(sigma**2)))
-    # Scatter beyond the model of the scanner, or in its absence, is noise of the points.
-    sigma = sigma * max(1.0, scatter / known) if known > 0 else np.full(len(rows), scatter)
-    noise = np.sqrt(total(sigma**2)) / count
-    lever = np.zeros((n_cells, n_views, 6))
     view = measured.view[rows]
     columns = np.hstack([normals, np.cross(points - measured.origins[view], normals)])
+    of_poses = float(np.mean((columns**2 @ np.repeat(measured.pose_sd.T**2, 3, axis=0))[np.arange(len(rows)), view]))
+    # Scatter beyond the models of scanner and poses, or in their absence, is noise of the points.
+    known, left = float(np.mean(sigma**2)), max(scatter**2 - of_poses, 0.0)
+    sigma = sigma * max(1.0, np.sqrt(left / known)) if known > 0 else np.full(len(rows), np.sqrt(left))
+    noise = np.sqrt(total(sigma**2)) / count
+    lever = np.zeros((n_cells, n_views, 6))
     for k in range(6):
         np.add.at(lever[:, :, k], (cell, view), columns[:, k])
     return Cells(

@@ -8,15 +8,14 @@ import numpy as np
 from cell.errors import FileError, UsageError
 from cell.files import atomic_write
 from cell.inspect.features import InspectionPlan
-from cell.inspect.inspection import FEATURES, QIF_SOURCE, Inspected, inspect_points, plan_inspection, qif_source
+from cell.inspect.inspection import QIF_SOURCE, Inspected, inspect_points, plan_inspection, qif_source, read_plan
 from cell.inspect.measured import MeasuredPoints
 from cell.metrology import point_files
 from cell.metrology.options import InspectOptions
 from cell.part import mesh_files, workpiece
 from cell.part.ply_elements import PlyError, read_elements
 from cell.part.workpiece import UNITS
-from cell.runs.run import EXECUTIONS, Run, open_finished, read_execution
-from cell.runs.schema import parsed
+from cell.runs.run import EXECUTIONS, RecordedExecution, Run, open_finished, read_execution
 from cell.scene.model import Scene
 from cell.session import ProgressReporter, Stream, random_stream
 from planner.errors import PlannerError
@@ -56,21 +55,18 @@ def inspect(
     with reporter.stage("read the characteristics"):
         plan, reference, qif, name = _characteristics(run, scene)
     with reporter.stage("read the points"):
-        if run is not None:
-            measured, words, simulated = execution_points(run, source.name)
-            aligned = "points of the execution"
-        else:
+        if run is None:
             measured, words = _file_points(source, options)
             measured, aligned = _located(measured, reference, options)
-            simulated = False
     for sentence in (*plan.notes, *plan.unsupported):
         reporter.note(sentence)
     with reporter.stage("inspect"):
-        on_reference = simulated and run is not None
-        done = inspect_points(
-            plan, reference, measured, part=name, source=words, is_simulated=simulated, on_reference=on_reference,
-            aligned=aligned,
-        )  # fmt: skip
+        if run is None:
+            done = inspect_points(
+                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned
+            )
+        else:
+            done = inspect_execution(plan, reference, run, read_execution(run, source.name))
         folder = Path("sim_runs") / f"inspect-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else out
         write_results(folder, done, qif)
     return folder, done
@@ -114,36 +110,43 @@ def _characteristics(run: Run | None, scene: Scene | None) -> tuple[InspectionPl
     return plan, run.reference, run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None, run.scene.part.name
 
 
-def read_plan(run: Run) -> InspectionPlan | None:
-    """Return the features and characteristics of a run; None without them."""
-    if not run.has(FEATURES):
-        return None
-    return parsed(InspectionPlan, run.artefact(FEATURES), run.folder / FEATURES)
+def inspect_execution(
+    plan: InspectionPlan, reference: TriangleMesh, run: Run, recorded: RecordedExecution
+) -> Inspected:
+    """Inspect the merged points of an execution.
 
-
-def execution_points(run: Run, execution: str) -> tuple[MeasuredPoints, str, bool]:
-    """Return the merged points of an execution, their source, and whether they are simulated."""
-    recorded = read_execution(run, execution)
+    Raises:
+        FileError: if they are missing or damaged.
+    """
     path = recorded.folder / "cloud.ply"
     try:
         vertex = read_elements(path.read_bytes())["vertex"]
     except (OSError, KeyError, PlyError) as error:
-        raise FileError(f"{path} is missing or damaged; write it again with cell scan --report {execution}") from error
+        raise FileError(
+            f"{path} is missing or damaged; write it again with cell scan --report {recorded.folder.name}"
+        ) from error
     options = recorded.manifest.options or {}
     views = vertex.columns("view")[:, 0].astype(np.int64) - 1
     sigma = vertex.columns("scalar_sigma_mm")[:, 0] / 1000
     points, normals = vertex.columns("x", "y", "z") / 1000, vertex.columns("nx", "ny", "nz")
     simulated = all(scan.T_true is not None for scan in recorded.scans)
-    source = "; ".join(dict.fromkeys(scan.source for scan in recorded.scans))
-    registers = bool(options.get("register"))
     given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
     noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
-    if simulated and options.get("noise") != "model":
-        sigma = np.full(len(points), noise)
-    elif simulated:
-        sigma = np.hypot(sigma, noise)
-    pose = (0.0, 0.0) if registers else given if simulated else run.plan_pose_sd
-    return points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose), source, simulated
+    if simulated:
+        sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
+    registered = bool(options.get("register"))
+    pose = (0.0, 0.0) if registered else given if simulated else run.plan_pose_sd
+    return inspect_points(
+        plan,
+        reference,
+        points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose),
+        part=run.scene.part.name,
+        source="; ".join(dict.fromkeys(scan.source for scan in recorded.scans)),
+        is_simulated=simulated,
+        on_reference=simulated and not options.get("actual"),
+        aligned="scans registered to each other and to the part" if registered else "scans by their reported poses",
+        notes=("errors that the registration leaves in the poses are not in U",) if registered else (),
+    )
 
 
 def points_of_views(
