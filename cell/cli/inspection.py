@@ -61,11 +61,11 @@ def init(
     given: Annotated[Given, option_specs(Scene, "units")],
 ) -> None:
     """Write a scene file with every key, its unit, its default and its purpose."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.scene.template import write_scene
 
     units = given.get("units")
-    write_scene(file, part, None if units is None else str(units))
+    api.init(file, part, None if units is None else str(units))
     terminal = Terminal()
     terminal.print(f"{file} has every key with its default; change the values, and remove what you do not need")
     terminal.suggest(("cell", "check", file), ("cell", "plan", "--scene", file))
