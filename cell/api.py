@@ -88,8 +88,8 @@ Progress = Callable[[str, int, int], None]
 
 __all__ = [
     "Progress", "advise", "calibrate_hand_eye", "check", "diff", "edit", "explore", "export", "features", "init",
-    "inspect", "locate", "open_run", "part", "place", "plan", "replay", "scan", "scan_setups", "setups", "study_placement",
-    "study_scanner", "study_standoff", "view", "why",
+    "inspect", "locate", "open_run", "part", "place", "plan", "replay", "scan", "scan_setups", "setups",
+    "study_placement", "study_scanner", "study_standoff", "view", "why",
 ]  # fmt: skip
 
 
