@@ -9,6 +9,7 @@ import io
 import re
 import struct
 import warnings
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -30,12 +31,24 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
 
 _POLYGON_READERS: Mapping[str, Callable[[bytes], PolygonMesh]] = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
 
+_OTHER_CONTENT = {
+    b"version https://git-lfs": ("is a pointer of Git LFS, not the file itself; run git lfs pull",),
+    b"<!doctype html": ("is a web page, not a mesh; download the file itself",),
+    b"<html": ("is a web page, not a mesh; download the file itself",),
+    b"\x1f\x8b": ("is compressed (gzip); unpack it first",),
+    b"pk\x03\x04": ("is a ZIP archive; unpack it first", ".3mf"),
+    b"gltf\x02": ("is a binary glTF file; name it .glb", ".glb"),
+}
+"""Sentence for the first bytes of other files, and the suffixes that may have them."""
+
 MAX_COORDINATE = 1e9
 """Largest coordinate in the unit of the file: products of three lengths are finite, also in single precision."""
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_STL_END = re.compile(r"end[ \t]*solid[^\r\n]*[\s\0\x1a]*\Z")
+_STL_FACET_END = re.compile(r"end[ \t]*facet")
 _LINE_END = re.compile(r"[\r\n]")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 
@@ -62,6 +75,9 @@ def read_bytes(path: Path) -> bytes:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     if not content:
         raise FileError(f"{path} is empty (0 bytes); export the mesh again")
+    for begin, what in _OTHER_CONTENT.items():
+        if content[:40].lower().startswith(begin) and path.suffix.lower() not in what[1:]:
+            raise FileError(f"{path} {what[0]}")
     return content
 
 
@@ -100,6 +116,10 @@ def _read(path: Path, content: bytes) -> tuple[Floats, Ints]:
         return mesh.vertices, triangulate(mesh)[0]
     except (glb.GlbError, three_mf.ThreeMfError, PolygonError) as error:
         raise FileError(f"{path} {error}") from error
+    except UnicodeDecodeError as error:
+        raise FileError(
+            f"{path} has the byte order mark of {error.encoding} but other bytes; export it again"
+        ) from error
 
 
 def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
@@ -148,15 +168,26 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
     if announced and len(content) >= _STL_HEADER + announced * _STL_FACE:
+        rest = content[_STL_HEADER + announced * _STL_FACE :]
+        if len(rest) >= _STL_FACE and rest.strip(b"\0"):
+            raise FileError(
+                f"{path} announces {announced} faces but has {len(rest)} bytes behind them, the size of "
+                f"{len(rest) // _STL_FACE} more; export all bodies again, in one file"
+            )
         rows = np.frombuffer(content, _STL_ROW, announced, _STL_HEADER)
         return rows["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * announced).reshape(-1, 3)
-    text = decode(content)
+    is_text = b"\0" not in content.strip(b"\0") or content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    text = decode(content) if is_text else ""
     if text.lstrip("\ufeff \t\r\n\0")[:5].lower() == "solid" and "facet" in text.lower():
         return _parse_ascii_stl(path, text)
     if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
         raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
-    if announced is None or announced:
-        size = f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)" if announced else "a longer header"
+    if announced is None or announced or len(content) > _STL_HEADER:
+        size = (
+            f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)"
+            if announced is not None
+            else "a longer header"
+        )
         raise FileError(
             f"{path} is cut short or no STL: it announces {size} but has {len(content)} bytes; "
             "export or copy the mesh again"
@@ -166,19 +197,29 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
 
 def _parse_ascii_stl(path: Path, text: str) -> tuple[Floats, Ints]:
     """Return corners and triangles of an ASCII STL; its normals are ignored."""
-    text = _without_names(text.lower())
-    rows = [" ".join(row.split(None, 3)[:3]) for row in text.split("vertex")[1:]]
+    text = text.lower()
+    has_end = _STL_END.search(text) is not None
+    text = _without_names(text)
+    words = [row.split(None, 3) for row in text.split("vertex")[1:]]
+    rows = [" ".join(each[:3]) for each in words]
     numbers = parse_numbers(" ".join(rows), 3 * len(rows))
-    if numbers is None:
+    if numbers is None or any(len(each) > 3 and each[3][0] in "+-.,0123456789" for each in words):
         for number, line in enumerate(lines_of(text), start=1):
-            keyword, _, row = line.strip().partition(" ")
-            if keyword == "vertex" and not all(_NUMBER.fullmatch(word) for word in row.split()):
+            keyword, row = [*line.split(None, 1), "", ""][:2]
+            if keyword == "vertex" and not (len(row.split()) == 3 and all(map(_NUMBER.fullmatch, row.split()))):
                 hint = "write decimal points and no commas" if "," in row else "it needs three numbers"
                 raise FileError(f"{path} has a vertex that cannot be read, line {number}: {row.strip()[:60]}; {hint}")
         raise FileError(f"{path} has a vertex without three numbers; export the mesh again")
-    n_facets = text.count("endfacet") + text.count("end facet")
-    if len(rows) % 3 or n_facets * 3 != len(rows):
+    facets = _STL_FACET_END.split(text)
+    if text.count("facet") != 2 * (len(facets) - 1):
         raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
+    for number, facet in enumerate(facets[:-1] if len(rows) != 3 * (len(facets) - 1) else (), start=1):
+        if (n_corners := facet.count("vertex")) != 3:
+            raise FileError(f"{path} has a facet with {n_corners} corners (facet {number}); an STL facet has three")
+    if len(rows) % 3:
+        raise FileError(f"{path} has a vertex outside its facets; export the mesh again")
+    if not has_end:
+        raise FileError(f"{path} does not end with 'endsolid'; it is cut short, export or copy the mesh again")
     return numbers.reshape(-1, 3), np.arange(len(rows)).reshape(-1, 3)
 
 

@@ -33,6 +33,7 @@ _FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: in ROS-
 _VECTORS = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "box": ("size",), "mesh": ("scale",)}
 _MAX_LINK = 50.0  # m; a larger distance between joints is in millimetres
 _MAX_SHAPE = 10.0  # radius of a shape in lengths of the arm
+_MAX_ANGLE = 2 * np.pi + 0.01
 _MAX_TURNS = 5.0  # range of an axis
 _MAX_SPEED = 60.0  # rad/s; the fastest small arms reach 15
 _MAX_STL_FACES = 200_000  # of MuJoCo's reader
@@ -336,10 +337,19 @@ def _prepare_urdf(
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
+        for inertial in link.findall("inertial"):  # kinematics uses neither mass nor inertia, and files have wrong ones
+            inertial.clear()
+            ElementTree.SubElement(inertial, "mass", value="1")
+            ElementTree.SubElement(inertial, "inertia", ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
     for element in root.iter():
         for key in _VECTORS.get(element.tag, ()):
-            for word in element.get(key, "").split():
-                _to_number(word, key, element, path)
+            numbers = [_to_number(word, key, element, path) for word in element.get(key, "").split()]
+            if key == "rpy" and max(map(abs, numbers), default=0) > _MAX_ANGLE:
+                raise SceneError(
+                    f"{path}: rpy of <{element.tag}> is '{element.get(key)}', more than a turn; angles are in radians, "
+                    "these seem to be in degrees"
+                )
+    _require_tree(root, path)
     for mesh in root.iter("mesh"):
         file = _mesh_file(mesh.get("filename", ""), path, packages)
         if converted := _as_obj(file):
@@ -387,8 +397,50 @@ def _prepare_urdf(
     return extras
 
 
+_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+
+
+def _require_tree(root: ElementTree.Element, path: Path) -> None:
+    """Refuse a URDF whose links and joints are no tree with unique names.
+
+    Raises:
+        SceneError: with the name.
+    """
+    links = [link.get("name", "") for link in root.findall("link")]
+    joints = root.findall("joint")
+    for kind, names in (("link", links), ("joint", [joint.get("name", "") for joint in joints])):
+        repeated = next((name for name in names if names.count(name) > 1 or not name), None)
+        if repeated is not None:
+            problem = f"two {kind}s named '{repeated}'" if repeated else f"a {kind} without a name"
+            raise SceneError(f"{path} has {problem}; give each {kind} its own name")
+    parents: dict[str, str] = {}
+    for joint in joints:
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        if kind not in _JOINT_TYPES:
+            known = ", ".join(_JOINT_TYPES)
+            raise SceneError(f"{path}: the joint '{name}' has the type '{kind}'; supported are {known}")
+        ends = [
+            (found.get("link", "") if (found := joint.find(end)) is not None else "") for end in ("parent", "child")
+        ]
+        for end, link in zip(("parent", "child"), ends, strict=True):
+            if link not in links:
+                raise SceneError(f"{path}: the joint '{name}' has the {end} '{link}', which is none of the links")
+        if ends[1] in parents:
+            raise SceneError(
+                f"{path}: the link '{ends[1]}' is the child of two joints, '{parents[ends[1]]}' and '{name}'; links "
+                "must form a tree"
+            )
+        parents[ends[1]] = name
+    roots = [link for link in links if link not in parents]
+    if len(roots) != 1:
+        raise SceneError(
+            f"{path} has {len(roots)} links without a parent ({_listed(roots)}); links must form one tree: connect "
+            "them by fixed joints"
+        )
+
+
 def _as_obj(file: Path) -> bytes | None:
-    """Return a mesh as OBJ; None if MuJoCo reads the file: OBJ, and binary STL of at most 200,000 faces.
+    """Return a mesh as OBJ with triangles; None if MuJoCo reads the file: binary STL of at most 200,000 faces.
 
     Raises:
         FileError: if the format is not supported, or the mesh is broken.
@@ -396,8 +448,6 @@ def _as_obj(file: Path) -> bytes | None:
     from cell.part import mesh_files  # with its readers only for an arm from a file
 
     suffix = file.suffix.lower()
-    if suffix == ".obj":
-        return None
     if suffix in (".stp", ".step") or suffix not in mesh_files.SUFFIXES:
         raise FileError(
             f"{file} is a robot's mesh of the kind '{file.suffix}', which is not supported; convert it to binary STL"

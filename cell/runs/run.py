@@ -216,8 +216,13 @@ class Run(ArtefactFolder):
 
     @property
     def is_single_setup(self) -> bool:
-        """Whether the coverage target applies to this run alone, so that a repair can restore it."""
+        """Whether the coverage target applies to this run alone."""
         return self.report.is_single_setup and not self.is_setup_of_group
+
+    @property
+    def is_repairable(self) -> bool:
+        """Whether the run has a coverage target of its own, which a repair can restore."""
+        return self.report.is_repairable and not self.is_setup_of_group
 
     @cached_property
     def plan(self) -> PlanFile:
@@ -328,6 +333,11 @@ class Run(ArtefactFolder):
             yield
         except ValueError as error:
             raise FileError(f"{self.folder / 'cell.xml'} is damaged: MuJoCo cannot compile it; plan again") from error
+
+    @property
+    def plan_pose_sd(self) -> tuple[float, float]:
+        """Standard deviations of executed poses that the plan assumes [mm, deg]."""
+        return self.scene.plan.pose_sd_mm, self.scene.plan.pose_sd_deg
 
     @property
     def coverage(self) -> Coverage:
