@@ -27,6 +27,7 @@ STUDIES = {
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
+    "nist_fits": "fits of FOLDER's points beside reference pairs in the form of NIST: largest differences",
     "mutation": "seeded small faults in given modules: the share that given tests detect",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
@@ -127,7 +128,7 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 def run_study(name: str, words: list[str]) -> int:
     """Run a study with its own options; return the exit code."""
-    study = import_module("benchmarks.golden" if name == "golden" else f"benchmarks.methods.{name}").app
+    study = import_module(f"benchmarks.{name}" if name in ("golden", "nist_fits") else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
     return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 

@@ -53,6 +53,8 @@ class _SceneKeywords(TypedDict, total=False):
     pose_sd: WithUnits
     alpha: float
     curve: bool
+    qif: File | None
+    u_over_t: float | None
     camera: Sequence[float] | None
     hide: Names
 
@@ -151,6 +153,21 @@ class LocateKeywords(TypedDict, total=False):
     search: WithUnits
     point_sd: float | None
     tolerance: float
+
+
+class FeaturesKeywords(TypedDict, total=False):
+    """Options of `cell features`."""
+
+    units: Units | None
+    qif: File | None
+
+
+class InspectKeywords(FeaturesKeywords, total=False):
+    """Options of `cell inspect`."""
+
+    points_units: Units | None
+    search: WithUnits
+    point_sd: float | None
 
 
 class HandEyeKeywords(TypedDict, total=False):

@@ -1,12 +1,12 @@
-// Page of a CAD part: a click or a number selects a face. Runs after page.js.
+// Page of a surface with items, such as CAD faces: a click or a number selects one. Runs after page.js.
 "use strict";
 const cad = JSON.parse(byId("faces").textContent), faceOf = numbers(cad.face_of_vertex);
 const section = element("section");
-element("h2", "Face", section);
+element("h2", cad.what, section);
 const input = element("input", undefined, section);
 const list = element("dl", undefined, section);
 input.type = "number"; input.min = cad.faces[0].number;
-input.setAttribute("aria-label", "number of a face");
+input.setAttribute("aria-label", "number of a " + cad.what.toLowerCase());
 document.querySelector("aside").insertBefore(section, byId("of-colour"));
 function showFace(index) {
   list.replaceChildren();

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -267,6 +269,9 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         ("sampled coverage", _format_percent(coverage.sampled)),
         *([("dense coverage", _format_percent(coverage.dense))] if coverage.dense is not None else []),
     ]
+    if done.has("features.json"):
+        features = json.loads((done.folder / "features.json").read_bytes())
+        rows += [(f"{each['name']} ({each['kind']})", _verdict(each)) for each in features["characteristics"]]
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
         rows += [("", deviation.edge_note)] if deviation.edge_note else []
@@ -277,6 +282,13 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
     return PageContents(
         page_views, (timeline.t, timeline.q), rows=rows, notes=notes, next_commands=commands, folder_depth=2
     )
+
+
+def _verdict(each: Mapping[str, Any]) -> str:
+    """Return value, uncertainty and verdict of a characteristic in words."""
+    if each["value"] is None:
+        return f"{each['verdict']}: {each['cause']}"
+    return f"{each['value']:.4f} ± {each['expanded_uncertainty']:.4f} {each['unit']}, {each['verdict']}"
 
 
 def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execution) -> PageSurface:
