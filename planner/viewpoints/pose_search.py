@@ -36,6 +36,7 @@ _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component 
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
 _TEMPERATURE = 3e-4  # share of the surface
+_RETURNS = 5  # returns to the best views after which the search begins again without other views
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
 
@@ -211,6 +212,7 @@ class _Search:
         self._set(start.pick(kept), measured[kept])
         limit = effort if removed == 1 else min(effort, self.evaluated + effort // 5)
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
+        returns = 0
         while self.evaluated < limit:
             self._round()
             area = self._area()
@@ -223,8 +225,13 @@ class _Search:
                         return self.views
                     goal = area + missing
             elif since > _PATIENCE:
-                self._set(*best)
-                since = 0
+                returns, since = returns + 1, 0
+                if returns % _RETURNS == 0:  # begin again without other views
+                    kept = np.sort(self.rng.permutation(len(start))[removed:])
+                    self._set(start.pick(kept), measured[kept])
+                    best, best_area = (self.views, self.measured.copy()), self._area()
+                else:
+                    self._set(*best)
             self._report(len(start))
         return None
 
