@@ -54,6 +54,7 @@ REGISTRY = {
     "motion_recheck": "final motions of seeded scenes, checked by triangles every millisecond and by differences",
     "gtsp": "generalised travelling salesman files: excess over the best known tour and the lower bound, time",
     "cycle_time": "cycle time of plans compared with an earlier version, RoboTSP's method and the lower bound",
+    "ur_soak": "moves over ur:// with faults and killed clients, compared with the executed commands",
     "kills": "client and controller killed at random moments, then resumed: lost and repeated moves",
     "edits": "random edits of plans and differences of runs: results and refusals, checked independently",
     "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
@@ -72,6 +73,7 @@ REGISTRY = {
     "soak": "2,000 moves over each wire with 1 % of every fault, checked by the journal of the controller",
     "fuzz": "mangled frames and telegrams: crashes and false accepts of the codecs",
     "fuzz_inputs": "mangled mesh, TOML, JSON and npz files: read, refused, unexpected errors, slowest",
+    "generated_files": "mesh files of every format in many forms: equal to the closed form, refused, wrong",
     "path_watch": "arms that leave their path, and false alarms with noise, lag and jitter",
     "wire": "round trip of a state and of a command on loopback, beyond wire time: median and p99",
 }

@@ -48,6 +48,14 @@ def cache_folder(kind: str) -> Path:
     return base / "scan-cell" / kind
 
 
+def unused_path(path: Path) -> Path:
+    """Return a path, or the first of path-2, path-3, ... at which nothing exists."""
+    number = 1
+    while (found := path if number == 1 else path.with_name(f"{path.name}-{number}")).exists():
+        number += 1
+    return found
+
+
 def read_bytes(path: Path) -> bytes:
     """Return the content of a regular file; a device or a pipe could have no end.
 

@@ -81,6 +81,7 @@ class EditKeywords(TypedDict, total=False):
     """Options of `cell edit`; a pose is x, y, z, A, B, C of the scanner in base [mm, deg]."""
 
     drop: Integers
+    dropped_range: WithUnits
     move: Mapping[int, Sequence[float]]
     turn: Mapping[int, float]
     add_candidate: Integers
@@ -119,6 +120,8 @@ class ScanKeywords(_EveryScanKeywords, _CurrentFilesKeywords, total=False):
 
     view: int | None
     setup_error: WithUnits
+    actual: File | None
+    actual_units: Units | None
     register: bool | None
     seed: int | None
     close_holes: bool
@@ -181,7 +184,7 @@ class HandEyeKeywords(TypedDict, total=False):
 class ExportKeywords(_CurrentFilesKeywords, total=False):
     """Options of `cell export`."""
 
-    format: Literal["krl", "csv", "json"]
+    format: Literal["krl", "rapid", "urscript", "ls", "csv", "json"] | None
     out: File | None
     name: str | None
     speed: float | None

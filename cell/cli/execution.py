@@ -19,6 +19,7 @@ from cell.cli.options import (
 )
 from cell.errors import UsageError
 from cell.explore.options import SCAN_OPTIONS, ExploreOptions
+from cell.files import unused_path
 from cell.metrology.options import HandEyeOptions, LocateOptions
 from cell.scan.emulator_options import EmulateOptions
 from cell.scan.options import REAL_ROBOT, ScanOptions
@@ -229,6 +230,7 @@ def locate(
     from cell import api
     from cell.cli.terminal import Terminal
     from cell.report.plan_report import table
+    from cell.runs.digest import SHORT_DIGEST
 
     if out is None and (repair or keep_planned):
         raise UsageError("--repair and --keep-planned belong to the plan that --out makes; give --out")
@@ -241,14 +243,16 @@ def locate(
             print_json(found.as_json())
         else:
             again = [word for word in sys.argv[1:] if word != "--json"]
-            terminal.suggest(("cell", *again, "--out", "sim_runs/there"))
+            keep = ["--keep-planned"] if found.free_motions else []
+            mend = ["--repair"] if not found.motion_check.keeps_clearance and api.open_run(run).is_repairable else []
+            terminal.suggest(("cell", *again, "--out", unused_path(Path("sim_runs/there")), *keep, *mend))
         return
     if not keep_planned:
         found.require_determined()
     made = api.edit(
         run, repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
     )
-    rows = [*table(made.report), ("run folder", str(made.folder))]
+    rows = [*table(made.report), ("digest", made.digest[:SHORT_DIGEST]), ("run folder", str(made.folder))]
     terminal.print_result(
         {**found.as_json(), "made": made.as_json()}, "The plan there", rows,
         ("cell", "scan", made.folder), ("cell", "diff", run, made.folder),
@@ -272,7 +276,7 @@ def _group() -> None:
 def hand_eye(
     *,
     files: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, XYZ, TXT or PCD).")
+        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, PCD or text).")
     ],
     options: HandEyeOptions,
     as_json: AsJson = False,
@@ -298,12 +302,13 @@ def hand_eye(
     "cell emulate serial --link /tmp/kr16 --state arm.json",
     "cell emulate modbus --port 5020 --time-scale 10",
     "cell emulate modbus --run sim_runs/trial --plant mujoco",
+    "cell emulate ur --run sim_runs/ur5e",
     "cell emulate modbus-rtu --faults drop=0.01,delay=0.02:0.3,estop@12.5 --seed 4 --log moves.jsonl",
     note="The first line on stdout is the driver URL: cell scan sim_runs/trial --driver URL. Ctrl-C ends it.",
 )
 def emulate(
     *,
-    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu", help="Protocol of the controller.")],
+    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu|ur", help="Protocol of the controller.")],
     options: EmulateOptions,
 ) -> None:
     """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
@@ -311,10 +316,10 @@ def emulate(
 
     if protocol not in emulator.PROTOCOLS:
         raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")
-    if options.link is not None and protocol == "modbus":
-        raise UsageError("--link is for pseudo-terminals; cell emulate modbus has --port")
-    if options.port and protocol != "modbus":
-        raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
+    if options.link is not None and protocol in ("modbus", "ur"):
+        raise UsageError(f"--link is for pseudo-terminals; cell emulate {protocol} has --port")
+    if options.port and protocol not in ("modbus", "ur"):
+        raise UsageError(f"--port is for cell emulate modbus and ur; cell emulate {protocol} has --link")
     arm = emulator.load_arm(options.run, options.plant)
     emulator.emulate(protocol, options, arm, lambda url: _announce(url, options.run, options.time_scale))
 

@@ -3,6 +3,7 @@
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -209,9 +210,10 @@ def view(
             Terminal(quiet_stdout=True).suggest(*following)
 
 
-def _after_view(what: Path | None) -> list[tuple[object, ...]]:
+def _after_view(what: Path | None) -> Sequence[tuple[object, ...]]:
     """Return commands for a scene, a run or an execution; pages of other folders have their own."""
-    from cell.runs.run import EXECUTIONS
+    from cell.runs.next_commands import after_plan, drop_command
+    from cell.runs.run import EXECUTIONS, open_run
 
     if what is None or not what.is_dir():
         return [("cell", "plan", *(["--scene", what] if what else []))]
@@ -219,7 +221,11 @@ def _after_view(what: Path | None) -> list[tuple[object, ...]]:
         return [("cell", "replay", folder.parent.parent, "--execution", folder.name)]
     if not (what / "plan.json").is_file():
         return []
-    return [("cell", "scan", what), ("cell", "why", what), ("cell", "edit", what, "--drop", 1)]
+    if not (what / "report.json").is_file():  # an unfinished run
+        return []
+    run = open_run(what)
+    drop = drop_command(run.report, 1, str(what))
+    return [*after_plan(run, str(what)), *([drop] if drop else [])]
 
 
 @command(
@@ -257,16 +263,17 @@ def export(
     options: ExportOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
+    """Write the motion of a plan as a robot program (KRL, RAPID, URScript, LS) or as a table (CSV, JSON)."""
     from cell import api
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
     has_setups = (run / "setups.json").is_file()
     outcome = api.export(run, options, progress=terminal)
-    if options.kind == "krl":
+    if outcome.format not in ("csv", "json"):
         terminal.note(
-            "before this program runs on a robot, check tool, base, signals and cell (docs/export.md), and run it in T1"
+            "before this program runs on a robot, check axes, tool, signals and cell (docs/export.md), and run it at "
+            "reduced speed"
         )
     if as_json:
         print_json(outcome.as_json())

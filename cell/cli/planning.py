@@ -30,6 +30,7 @@ from cell.scene.options import flag, option_specs
 if TYPE_CHECKING:
     from cell.cli.terminal import Terminal
     from cell.report.diff import Difference
+    from cell.runs.run import Run
 
 _SceneOptionsOfSetups = Annotated[
     Given, {name: spec for name, spec in option_specs(Scene).items() if name not in option_specs(SetupOptions)}
@@ -59,6 +60,7 @@ def plan(
     from cell.cli.terminal import Terminal
     from cell.report.plan_report import table
     from cell.runs.digest import SHORT_DIGEST
+    from cell.runs.next_commands import after_plan
 
     terminal = Terminal(quiet_stdout=as_json)
     if open_of:
@@ -70,8 +72,10 @@ def plan(
         argv=sys.argv[1:],
     )  # fmt: skip
     rows = [*table(run.report), ("digest", run.digest[:SHORT_DIGEST]), ("run folder", str(run.folder))]
-    following = [("cell", name, run.folder) for name in ("view", "scan", "why", "export")]
-    terminal.print_result(run.as_json(), f"View plan of {run.report.part.name}", rows, *following)
+    following = after_plan(run, str(run.folder))
+    terminal.print_result(
+        run.as_json(), f"View plan of {run.report.part.name}", rows, ("cell", "view", run.folder), *following
+    )
     raise typer.Exit(run.exit_code)
 
 
@@ -128,14 +132,18 @@ def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: As
     from cell import api
     from cell.cli.terminal import Terminal
     from cell.report.plan_report import table
+    from cell.runs.digest import SHORT_DIGEST
 
     terminal = Terminal(quiet_stdout=as_json)
     planned = api.open_run(run)
     made = api.edit(planned, options, out=out, progress=terminal, argv=sys.argv[1:])
     difference = api.diff(run, made, progress=terminal)
-    rows = [*table(made.report), (f"against {run}", summarise(difference)), ("run folder", str(made.folder))]
+    rows = [
+        *table(made.report), (f"against {run}", summarise(difference)), ("digest", made.digest[:SHORT_DIGEST]),
+        ("run folder", str(made.folder)),
+    ]  # fmt: skip
     surface = difference.surface
-    is_repairable = planned.is_single_setup and not options.repair
+    is_repairable = planned.is_repairable and not options.repair
     repair = is_repairable and surface is not None and surface.only_a_mm2 > surface.only_b_mm2
     terminal.print_result(
         made.as_json() | {"against": difference.as_json()}, f"Edited view plan of {made.report.part.name}", rows,
@@ -205,10 +213,19 @@ def why(
         terminal.print("the whole surface is covered")
     terminal.print(f"files: {outcome.folder}")
     settings = [change.setting for group in summary.groups for change in group.changes]
-    better = [tuple(shlex.split(setting)) for setting in settings if setting.startswith("--")][:1]
-    planned = [word for word in _without(open_run(run).manifest.argv, "--out") if word != "--json"]
-    again = [("cell", *_without(planned, setting[0]), *setting) for setting in better if planned[:1] == ["plan"]]
-    terminal.suggest(*again, ("cell", "scan", run))
+    better = [command for setting in settings if (command := _command_of(setting, open_run(run)))][:1]
+    terminal.suggest(*better, ("cell", "scan", run))
+
+
+def _command_of(setting: str, run: "Run") -> tuple[str, ...] | None:
+    """Return the command that makes a change of `cell why`; None if no option does."""
+    words = shlex.split(setting)
+    if words[:1] == ["cell"]:
+        return tuple(str(run.folder) if word == "RUN" else word for word in words)
+    planned = [word for word in _without(run.manifest.argv, "--out") if word != "--json"]
+    if not setting.startswith("--") or planned[:1] != ["plan"]:
+        return None
+    return "cell", *_without(planned, words[0]), *words
 
 
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:

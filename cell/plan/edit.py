@@ -40,7 +40,7 @@ from planner.cover import CoverStatus
 from planner.kinematics import reach
 from planner.kinematics.reach import Reach, join_reach
 from planner.ports import ARM_AXES
-from planner.values import Floats
+from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
 
 SAME_POSE = 1e-9
@@ -73,6 +73,31 @@ class EditedViews:
         views = tuple(view for view in self.views if view not in candidates)
         order = None if self.order is None else tuple(view for view in self.order if view not in candidates)
         return replace(self, views=views, order=order, dropped=(*self.dropped, *candidates))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbourhood:
+    """Poses near dropped views, in which no other view is added.
+
+    Attributes:
+        T_object_view: (n, 4, 4) poses of the dropped views [m].
+        distance: between positions [m].
+        angle: between viewing axes [rad]; a view that is turned about its axis sees the same from the same place.
+    """
+
+    T_object_view: Floats
+    distance: float
+    angle: float
+
+    def contains(self, T_object_view: Floats) -> Bools:
+        """Return (m,) whether each of (m, 4, 4) poses is near a dropped view; these are themselves."""
+        apart = np.linalg.norm(T_object_view[:, None, :3, 3] - self.T_object_view[None, :, :3, 3], axis=2)
+        cosine = np.einsum("mi,ni->mn", T_object_view[:, :3, 2], self.T_object_view[:, :3, 2])
+        is_near = (apart <= self.distance + SAME_POSE) & (cosine >= np.cos(self.angle) - SAME_POSE)
+        if self.distance == self.angle == 0:
+            difference = np.abs(T_object_view[:, None] - self.T_object_view[None]).max(axis=(2, 3))
+            is_near = difference <= SAME_POSE
+        return np.asarray(is_near.any(axis=1))
 
 
 class _Numbering:
@@ -114,15 +139,23 @@ def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Float
     if T_base_object is not None:
         scene = with_placement(scene, T_base_object, run.scene)
     session = replace(session, origin=replace(session.origin, scene_path=run.folder / "scene.toml"))
-    with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
-        opened.conclude(_plan(opened.session, opened.settled, run, wanted, is_moved=T_base_object is not None))
-    return opened.path
+    opened = None
+    try:
+        with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
+            opened.conclude(_plan(opened.session, opened.settled, run, wanted, is_moved=T_base_object is not None))
+        return opened.path
+    except (UsageError, UnreachableError):  # nothing in the folder explains more than the message
+        if opened is not None:
+            opened.session.folder.discard()
+        raise
 
 
 def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, *, is_moved: bool) -> Verdict:
     surface = pipeline.copy_surface(session, settled, before)
-    cell = pipeline.compile_cell(session, settled, surface)
     viewpoints, T_scanner_view = scanners.viewpoints_of_columns(settled.scanner, before.candidates)
+    if wanted.drop:
+        settled = _with_bans(session, settled, before, wanted, viewpoints)
+    cell = pipeline.compile_cell(session, settled, surface)
     edited = _edited(settled, before, wanted, cell, surface, (viewpoints, T_scanner_view))
     if is_moved:
         with session.stage("reach") as progress:
@@ -149,7 +182,7 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
             session.note(f"{edited.names[view]} measures none of the samples")
     if wanted.repair:
         added = [f"{view}" for view in plan.candidate.tolist() if view not in edited.views]
-        session.note(f"repaired by adding candidate {', '.join(added)}" if added else "nothing needs repair")
+        session.note(f"repaired by adding candidate {', '.join(added)}" if added else "no candidate is added")
     report = pipeline.finish(session, settled, surface.planning, problem, plan, annotations)
     if before.is_setup_of_group:
         session.note(
@@ -159,7 +192,35 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
     options = settled.scene.plan
     has_target = options.max_views is None and options.multiplicity == 1
     has_target &= options.pose_sd_mm == options.pose_sd_deg == 0
-    return judge_plan(report, (_REPAIR, _REPAIR), has_target=has_target)
+    remedy = _REPAIR
+    if wanted.repair:
+        remedy = "plan again, or edit with a smaller --dropped-range" if options.banned else "plan again"
+    verdict = judge_plan(report, (remedy, remedy), has_target=has_target)
+    share = plan.cover.covered_area / plan.cover.coverable_area
+    if wanted.repair and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
+        sentence = f"the plan measures {100 * share:.2f} % of the coverable samples, less than the requested 100 %: "
+        return Verdict((sentence + remedy, *verdict.missed))
+    return verdict
+
+
+def _with_bans(
+    session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, viewpoints: Viewpoints
+) -> SettledScene:
+    """Ban dropped views and the candidates near them, but neither other views nor candidates that the edit adds."""
+    T = viewpoints.T_object_scanner[:, 0]
+    dropped = before.candidate[[number - 1 for number in wanted.drop]]
+    near = Neighbourhood(T[dropped], wanted.dropped_range_mm / 1000, float(np.radians(wanted.dropped_range_deg)))
+    is_near = near.contains(T)
+    is_near[[*np.setdiff1d(before.candidate, dropped), *wanted.add_candidate]] = False
+    options = settled.scene.plan
+    pinned = tuple(view for view in options.pinned if view not in dropped)
+    banned = tuple(sorted({*options.banned, *np.flatnonzero(is_near).tolist()} - {*pinned, *wanted.add_candidate}))
+    if others := int(is_near.sum() - np.isin(dropped, np.flatnonzero(is_near)).sum()):
+        session.note(
+            f"{others} candidates within {wanted.dropped_range_mm:g} mm and {wanted.dropped_range_deg:g} deg of a "
+            "dropped view are banned; --dropped-range changes this"
+        )
+    return _with_plan(settled, options.model_copy(update={"pinned": pinned, "banned": banned}))
 
 
 def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
@@ -237,7 +298,7 @@ def _still_reachable(
     }
     if lost and (not may_leave_out or len(lost) == len(edited.views)):
         remedy = "move the part"
-        if before.is_single_setup:
+        if before.is_repairable:
             remedy = "use --repair to omit them and add the fewest others, or move the part"
         raise UnreachableError(
             f"at the placement of the part now the arm cannot reach {', '.join(lost.values())}; {remedy}"
@@ -255,7 +316,8 @@ def _problem(
     options = settled.scene.plan
     if wanted.repair:
         pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))
-        options = options.model_copy(update={"pinned": pinned, "banned": (*options.banned, *edited.dropped)})
+        banned = tuple(sorted({*options.banned, *edited.dropped} - {*pinned}))
+        options = options.model_copy(update={"pinned": pinned, "banned": banned})
     else:
         options = options.with_views(edited.views, len(measured.reached))
     problem = pipeline.make_problem(session, _with_plan(settled, options), cell, measured)

@@ -6,10 +6,18 @@ from typing import Annotated, Any, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from cell.scene.fields import Table
+from cell.scene.fields import NotNegative, Table
 from cell.scene.options import Option
 
 _VIEWS, _MOTION = "Views", "Order"
+_DROPPED_RANGE = Option(
+    "Neighbourhood of a dropped view in which no view is added: other candidates within this distance of its position "
+    "and this angle of its viewing axis are banned, in later repairs as well; 0mm,0deg bans the dropped pose only.",
+    _VIEWS,
+    metavar="LENGTHmm,ANGLEdeg",
+    form="a length and an angle with their units",
+    examples=("50mm,20deg",),
+)
 _POSE_FORM = "x,y,z,a,b,c of the scanner in base (mm and deg, KUKA ABC)"
 
 Number = Annotated[int, Field(ge=1)]
@@ -92,6 +100,8 @@ class Edit(Table):
         Numbers,
         Option("Views to drop.", _VIEWS, metavar="N[,N...]", form="numbers of views", examples=("4", "4,7")),
     ] = ()
+    dropped_range_mm: Annotated[NotNegative, _DROPPED_RANGE] = 50.0
+    dropped_range_deg: Annotated[NotNegative, Field(le=180), _DROPPED_RANGE] = 20.0
     move: Annotated[
         tuple[Move, ...],
         Field(strict=False),

@@ -112,12 +112,18 @@ def judge_plan(report: schema.Report, remedies: tuple[str, str], *, has_target: 
         (reached.visible_of_coverable, report.settings.coverage) if has_target and report.regions is None else None,
         (reached.visible, report.settings.required_visible),
         remedies,
-        missed_regions(report) if has_target else (),
+        [*(missed_regions(report) if has_target else ()), *unmeasured_regions(report)],
     )
 
 
+def unmeasured_regions(report: schema.Report) -> list[str]:
+    """Return a sentence for each region of which nothing can be measured, and for each without samples."""
+    closed = [each for each in report.regions or () if each.coverable == 0]
+    return [f"the region '{each.name}' cannot be measured: {each.cause}" for each in closed]
+
+
 def missed_regions(report: schema.Report) -> list[str]:
-    """Return a sentence for each coverage below 1 that regions miss on held-out samples, and for unmeasured regions."""
+    """Return a sentence for each coverage below 1 that regions miss on held-out samples."""
     regions = report.regions or ()
     groups = [[each] for each in regions if not each.common_target] + [[each for each in regions if each.common_target]]
     found = []
@@ -130,8 +136,6 @@ def missed_regions(report: schema.Report) -> list[str]:
                 f"the plan measures {percent(seen / coverable)} of the coverable surface of {names}, less than the "
                 f"requested {100 * group[0].target:g} %; see cell why"
             )
-        closed = [each for each in group if each.coverable == 0]
-        found += [f"the region '{each.name}' cannot be measured: {each.cause}" for each in closed]
     return found
 
 
@@ -365,16 +369,17 @@ def _regions(
     found = []
     for number, region in enumerate(regions):
         rows = np.flatnonzero(samples.region == number)
-        if not region.is_measured or not len(rows):
+        area_mm2 = round(1e6 * float(reference.areas[reference.region == number].sum()), 3)
+        if not region.is_measured or not (len(rows) or area_mm2):
             continue
-        share, seen = float(coverable[rows].mean()), float((times[rows] > 0).mean())
+        share, seen = _mean(coverable[rows]), _mean(times[rows] > 0)
         views = region.views or options.multiplicity
         requested = options.coverage if region.coverage is None else region.coverage
         lost = rows[~coverable[rows]]
         found.append(
             schema.RegionResult(
                 name=region.name,
-                area_mm2=round(1e6 * float(reference.areas[reference.region == number].sum()), 3),
+                area_mm2=area_mm2,
                 target=requested,
                 common_target=region.coverage is None,
                 views=views,
@@ -384,11 +389,29 @@ def _regions(
                 visible=seen,
                 coverable=share,
                 visible_of_coverable=seen / share if share > 0 else 0.0,
-                satisfied_share=float((times[rows] >= views).mean()),
-                cause=_reason(region, lost, 1 - share, problem) if share < requested else "",
+                satisfied_share=_mean(times[rows] >= views),
+                cause=(
+                    _reason(region, lost, 1 - share, problem)
+                    if len(lost) and share < requested
+                    else ""
+                    if len(rows)
+                    else no_samples(area_mm2, len(samples))
+                ),
             )
         )
     return tuple(found)
+
+
+def _mean(values: Bools) -> float:
+    """Return the share of true values, 0 without values."""
+    return float(values.mean()) if len(values) else 0.0
+
+
+def no_samples(area_mm2: float, n_samples: int) -> str:
+    """Return the cause for which the coverage of a region with an area is not known."""
+    return (
+        f'none of the {n_samples:,} samples of the surface lies in its {area_mm2:g} mm2; enlarge it, or set care = "no"'
+    )
 
 
 def _reason(region: RegionTargets, lost: Ints, share: float, problem: SelectionProblem) -> str:

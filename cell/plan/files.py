@@ -63,7 +63,6 @@ from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion
-from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 _ENVELOPE_STEP = np.radians(2.0)  # of the axes, for the envelope of the wrist
@@ -382,13 +381,14 @@ def queue_motion(session: PlanSession, motion: Motion) -> None:
     )  # fmt: skip
 
 
-def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats) -> None:
+def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Motion, world: World) -> None:
     """Wait for the plots, and complete the page with views, motion and numbers."""
     # The page's modules are kept out of the start-up.
+    from cell.runs.next_commands import commands_of
     from cell.view.page import second_half
     from cell.view.run_pages import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
 
-    rest = second_half(plan_contents(report, plan.views, motion, T_base_object))
+    rest = second_half(plan_contents(report, plan.views, motion, world.T_base_object, commands_of(report, world.model)))
     adopt_plots(session)
     half = session.folder.path / PARTIAL_PAGE_FILE
     session.folder.write_text(PAGE_FILE, half.read_text(encoding="utf-8") + rest)

@@ -125,16 +125,22 @@ def plan(session: Session[None], scene: Scene, part: Workpiece | None = None) ->
             "[[setup]] tables"
         )
     with open_run(session, scene, part) as run:
-        session_, settled = run.session, run.settled
-        surface, viewpoints = sample_part(session_, settled)
-        cell = compile_cell(session_, settled, surface)
-        candidates = find_candidates(session_, settled, surface, cell, viewpoints)
-        measured = measure_candidates(session_, settled, surface, cell, candidates)
-        problem = make_problem(session_, settled, cell, measured)
-        problem, plan = select_and_connect(session_, problem, surface, appending(session_, settled, cell, surface))
-        report = finish(session_, settled, surface.planning, problem, plan)
+        surface, problem, plan = plan_views(run)
+        report = finish(run.session, run.settled, surface.planning, problem, plan)
         run.conclude(_judge(report))
     return run.path
+
+
+def plan_views(run: OpenRun) -> tuple[PartSurface, SelectionProblem, ConnectedPlan]:
+    """Take the steps from the part to connected views."""
+    session, settled = run.session, run.settled
+    surface, viewpoints = sample_part(session, settled)
+    cell = compile_cell(session, settled, surface)
+    candidates = find_candidates(session, settled, surface, cell, viewpoints)
+    measured = measure_candidates(session, settled, surface, cell, candidates)
+    problem = make_problem(session, settled, cell, measured)
+    problem, plan = select_and_connect(session, problem, surface, appending(session, settled, cell, surface))
+    return surface, problem, plan
 
 
 @contextmanager
@@ -403,7 +409,7 @@ def finish(
         report = report.model_copy(update=dict(annotations))
         file = files.write_plan(session.folder, report, plan, problem.candidates, problem.world)
         files.write_report(session.folder, report, section)
-        files.finish_page(session, report, file, motion, problem.world.T_base_object)
+        files.finish_page(session, report, file, motion, problem.world)
     return report
 
 

@@ -60,6 +60,9 @@ MIN_COST = 1e-6
 MAX_RAISE = 0.002
 """Share by which a target on the matrix is raised at most before samples are added: one raise is usual."""
 
+ALL = 0.9995
+"""Share of the coverable held-out samples up to which rows are added for a requested coverage of 1."""
+
 ROUNDS = 6
 """Rounds of row generation at most; the views are selected again after each."""
 
@@ -211,6 +214,11 @@ class Request:
     def is_evaluated(self) -> bool:
         """Whether the coverage must hold on held-out samples: it is below 1, and once a sample is enough."""
         return self._is_single_cover and bool((self.targets < 1).any())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether everything coverable is requested, once a sample and of at least one selectable view."""
+        return self._is_single_cover and bool((self.targets >= 1).all())
 
     @property
     def is_probed(self) -> bool:
@@ -426,13 +434,15 @@ def _select(
         cover_problem = request.regions.apply(cover_problem, M.samples)
     if plan.max_views is not None:
         budget = cover.scaled_effort(effort.constrained_work, cover_problem.matrix.nnz)
-        most = cover.solve(cover_problem, rng=rng, effort_budget=budget)
+        known = None if start is None else start.cover.views
+        most = cover.solve(cover_problem, rng=rng, start=known, effort_budget=budget)
         return Selection(most, np.ones(1), most.sentence)
     if request.layer is not None:
         robust = robust_cover(cover_problem, request.layer.restricted_to(M), alpha=plan.alpha, rng=rng)
         return Selection(robust.cover, request.targets, robust.sentence, robust)
     if not request.is_evaluated:  # the coverage refers to the samples of the matrix alone
-        return _cover(request, cover_problem, request.targets, rng, effort.cover_work, start)
+        work = effort.probe_work if search is Search.PROBE and request.is_probed else effort.cover_work
+        return _cover(request, cover_problem, request.targets, rng, work, start)
 
     def solve(targets: Floats, work: int, start: Selection | None) -> Selection:
         is_short = request.is_probed or (request.costs is not None and start is not None)
@@ -504,7 +514,12 @@ def select_with_row_generation(
     Returns:
         The problem with its rows, and the views. They fall short only if fresh samples show nothing more.
     """
-    if not (problem.request.is_evaluated and problem.request.plan.fill == "aimed"):
+    if problem.request.plan.fill != "aimed":
+        return problem, select_views(problem, rng)
+    if problem.request.is_complete:
+        problem, start = _with_rows_for_all(problem, surface, rng, fresh)
+        return problem, select_views(problem, rng, start=start)
+    if not problem.request.is_evaluated:
         return problem, select_views(problem, rng)
     requested, spread = problem.request.targets, problem.prediction.samples
     selection = None
@@ -522,7 +537,49 @@ def select_with_row_generation(
             break
         rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, added))
         problem = replace(problem, M=append_rows(problem.M, rows, spread))
-    return problem, select_views(problem, rng, start=selection)
+    return problem, _with_most_coverage(problem, select_views(problem, rng, start=selection), rng)
+
+
+def _with_rows_for_all(
+    problem: SelectionProblem, surface: PartSurface, rng: np.random.Generator, fresh: np.random.Generator
+) -> tuple[SelectionProblem, Selection]:
+    """Add rows until views that measure all of them measure nearly all coverable held-out samples.
+
+    The few samples of a coarse matrix need fewer views than a coverage just below 1 of the held-out samples.
+    """
+    known, T = problem.prediction, problem.candidates.T_object_scanner
+    for left in reversed(range(ROUNDS + 1)):
+        selection = select_views(problem, rng, search=Search.PROBE)
+        chosen = T[selection.cover.views]
+        if not left or known.share_of_coverable(chosen) >= ALL:
+            break
+        pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
+        added = _needed_rows(problem, selection, pool)
+        if not added.any():
+            break
+        rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, added))
+        problem = replace(problem, M=append_rows(problem.M, rows, known.samples))
+    return problem, selection
+
+
+def _with_most_coverage(problem: SelectionProblem, fewest: Selection, rng: np.random.Generator) -> Selection:
+    """Return as many views with the most coverage, so that a lower target never gives more than a higher one."""
+    request, cover_ = problem.request, fewest.cover
+    if not request.is_probed or request.regions is not None or len(cover_.views) < 2:
+        return fewest
+    most = select_views(_for_most_coverage(problem, len(cover_.views)), rng.spawn(1)[0], start=fewest).cover
+    share = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[most.views])
+    if len(most.views) != len(cover_.views) or share <= fewest.shares[0] or most.covered_area < cover_.covered_area:
+        return fewest
+    cover_ = replace(cover_, views=most.views, marginal_area=most.marginal_area, covered_area=most.covered_area)
+    return replace(fewest, cover=cover_, shares=np.array([share]))
+
+
+def _for_most_coverage(problem: SelectionProblem, max_views: int) -> SelectionProblem:
+    """Return the problem for the most coverage with at most a number of views."""
+    plan = problem.request.plan.model_copy(update={"max_views": max_views})
+    effort = replace(problem.request.effort, constrained_work=problem.request.effort.selection_work)
+    return replace(problem, request=replace(problem.request, plan=plan, effort=effort))
 
 
 def _continued(problem: SelectionProblem, probe: Selection, rng: np.random.Generator) -> Selection:

@@ -27,13 +27,14 @@ from cell.plan.candidates import (
     without_rows,
 )
 from cell.plan.selection import measure_rows
+from cell.plan.stable_poses import MARGIN, Underside, needs_fixture, stable_poses
 from cell.runs.cell import read_cell
 from cell.runs.run import Run
-from cell.scene.model import Placement, Scene
+from cell.scene.model import Placement, Post, Scene
 from cell.scene.model import Setup as SetupTable
 from cell.scene.settle import SettledScene
 from cell.session import Stream
-from cell.world.checks import find_problems
+from cell.world.checks import find_problems, support_margin
 from cell.world.measurability import PartSurface, surface_samples
 from cell.world.model import ON_AXIS, World, compile_settled
 from cell.world.occluders import Occluder, fixed_occluders
@@ -55,7 +56,6 @@ from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 _N_PROPOSED = 24  # set-up candidates if neither the scene nor the user gives any
 _TURNS_DEG = (0.0, 90.0, 180.0, 270.0)  # about the vertical, at which each stable pose is proposed
 _MAX_COSINE = float(np.cos(np.radians(10.0)))  # stable poses tilted by less are one: a rounded part has hundreds
-_MIN_PROBABILITY = 0.01  # of a stable pose that is proposed
 _SAME = 1e-5  # m, and entries of a rotation: set-up candidates that differ by less are one
 
 
@@ -68,12 +68,16 @@ class SetupCandidate:
         placement: of the part's centre.
         table: of the scene; None for a proposed pose.
         run: finished plan of a fixed set-up; None for one that is planned.
+        post: of a proposed pose that needs another post than that of the scene; None: that of the scene.
+        rests: whether the part has to rest on its supports without being fastened.
     """
 
     name: str
     placement: Placement
     table: SetupTable | None = None
     run: Run | None = None
+    post: Post | None = None
+    rests: bool = False
 
     def scene(self, shared: Scene) -> Scene:
         """Return the scene of this set-up alone."""
@@ -82,6 +86,8 @@ class SetupCandidate:
             "setup": (),
             "plan": shared.plan.without_selection().with_order_of(shared.plan),
         }
+        if self.post is not None:
+            own["post"] = self.post
         if self.table is not None:
             own["fixtures"] = (*shared.fixtures, *self.table.fixtures)
             own |= {} if self.table.post is None else {"post": self.table.post}
@@ -113,7 +119,8 @@ def proposed_candidates(world: World, part: TriangleMesh, limit: int) -> list[Se
     """Propose set-ups in which the part's lowest point keeps its height, and its centre its position.
 
     The pose of the scene comes first, then stable poses, the most probable first, each at all turns; at one turn if a
-    rotary table turns the part about its centre.
+    rotary table turns the part about its centre. A stable pose has the thinnest post on which the part rests, no
+    thinner than that of the scene.
 
     Args:
         world: the cell with the part as the scene places it.
@@ -129,35 +136,39 @@ def proposed_candidates(world: World, part: TriangleMesh, limit: int) -> list[Se
             "with --proposals 0, or omit table.abc_deg"
         )
     placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
-    poses = [("as it is placed", placed)]
-    for R, probability in _stable_poses(part):
-        if all(R[2] @ other[2] < _MAX_COSINE for _, other in poses):
-            poses.append((f"in a stable pose of probability {probability:.2f}", R))
     turns_deg = _TURNS_DEG[:1] if _table_turns_part(world) else _TURNS_DEG
     turns = Rotation.from_rotvec(np.outer(turns_deg, (0.0, 0.0, 1.0)), degrees=True).as_matrix()
-    found = [
-        SetupCandidate(f"{name}, turned by {turn:g} deg" if turn else name, _placement(world, R_turn @ R))
-        for name, R in poses
-        for turn, R_turn in zip(turns_deg, turns, strict=True)
-    ]
+    found: list[SetupCandidate] = []
+    for name, R, post in _poses(world, part, placed):
+        for turn, about_vertical in zip(turns_deg, turns, strict=True):
+            text, is_placed = f"{name}, turned by {turn:g} deg" if turn else name, R is placed
+            found.append(SetupCandidate(text, _placement(world, about_vertical @ R), post=post, rests=not is_placed))
+        if len(found) >= limit:
+            break
     return found[:limit]
 
 
-def _stable_poses(part: TriangleMesh) -> Iterator[tuple[Floats, float]]:
-    """Yield rotations (3, 3) in which the part rests on a plane, with their probabilities, the largest first.
+def _poses(world: World, part: TriangleMesh, placed: Floats) -> Iterator[tuple[str, Floats, Post | None]]:
+    """Yield name, rotation (3, 3) and post of each pose; None is the post of the scene.
 
-    A body that is dropped at random comes to rest on a face of its convex hull (Goldberg, Mirtich, Zhuang, Craig,
-    Carlisle, Canny, "Part pose statistics", IEEE Trans. Robotics and Automation 1999, doi:10.1109/70.795796).
+    The pose of the scene comes first, then stable poses on a post, then those that need a fixture.
     """
-    import trimesh  # half a second of start-up
-
-    mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
-    hull = mesh.convex_hull
-    mass = mesh.center_mass if mesh.is_volume else hull.center_mass
-    transforms, probabilities = trimesh.poses.compute_stable_poses(hull, center_mass=mass)
-    for k in np.argsort(-probabilities.round(9), kind="stable"):
-        if probabilities[k] >= _MIN_PROBABILITY:
-            yield transforms[k][:3, :3], float(probabilities[k])
+    post, axis = world.scene.post, world.T_object_centre[:3, 3]
+    is_at_rest = not post.enabled or Underside(part, placed, axis).margin(post) >= MARGIN
+    yield f"as it is placed{'' if is_at_rest else needs_fixture(post)}", placed, None
+    known, fastened = [placed[2]], []
+    for R, probability in stable_poses(part):
+        if any(R[2] @ other >= _MAX_COSINE for other in known):
+            continue
+        known.append(R[2])
+        name = f"in a stable pose of probability {probability:.2f}"
+        if not post.enabled:
+            yield name, R, None
+        elif (own := Underside(part, R, axis).supporting_post(post)) is None:
+            fastened.append((name + needs_fixture(), R, None))
+        else:
+            yield f"{name} on a post of {own.diameter_mm:g} mm", R, None if own == post else own
+    yield from fastened
 
 
 def _table_turns_part(world: World) -> bool:
@@ -291,7 +302,8 @@ def make_setup(
         return _fixed_setup(session, surface, candidate.run)
     scene = candidate.scene(settled.scene)
     settled = replace(settled, scene=scene)
-    if scene.table.enabled or (candidate.table is not None and (candidate.table.fixtures or candidate.table.post)):
+    has_own_shapes = candidate.table is not None and (candidate.table.fixtures or candidate.table.post)
+    if scene.table.enabled or candidate.post is not None or has_own_shapes:
         try:
             world = compile_settled(settled, surface.reference)
         except SceneError as error:
@@ -302,6 +314,11 @@ def make_setup(
         world = replace(world, scene=placed, T_base_object=T_base_object)
     if problems := find_problems(world):
         return problems[0]
+    if candidate.rests and not scene.post.enabled and support_margin(world) < MARGIN:
+        return (
+            "the part does not rest on fixtures, table or floor there: the centre of mass must be at least "
+            f"{1000 * MARGIN:g} mm inside its contacts; give a [[setup]] with a fixture or post below it"
+        )
     cell = Cell.of(world)
     with session.stage(candidate.name) as progress:
         casters, supports = cell.casters(surface), fixed_occluders(world)

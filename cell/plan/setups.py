@@ -17,7 +17,7 @@ from cell.formatting import percent
 from cell.part.workpiece import Workpiece
 from cell.plan import files, pipeline
 from cell.plan.candidates import PlanSession
-from cell.plan.evaluation import Verdict, estimated_share, judge
+from cell.plan.evaluation import Verdict, estimated_share, judge, no_samples
 from cell.plan.setup_candidates import FixedSetup, PlannedSetup, Setup, SetupCandidate, try_candidates, with_table_at
 from cell.plan.setup_options import SetupOptions, format_candidate
 from cell.plan.setup_search import ConnectedSetup, SetupSearch, SetupsRequest
@@ -41,6 +41,7 @@ from cell.scene.settle import SettledScene
 from cell.session import Session, Stream
 from cell.world.measurability import PartSurface
 from planner.cover.grouped import GroupedCover
+from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.values import Bools
 from planner.viewpoints.attainable import probe_attainable
@@ -140,7 +141,18 @@ def _plan_setups(
         (reached.visible_of_coverable, reached.target) if request.is_evaluated else None,
         (reached.visible, settled.scene.plan.required_visible),
         ("allow more set-ups, or request less", "allow more set-ups, or require less"),
+        _regions_without_samples(settled, surface.reference, next(iter(setups.values())).measured.prediction.samples),
     )
+
+
+def _regions_without_samples(settled: SettledScene, reference: TriangleMesh, samples: SurfaceSamples) -> list[str]:
+    """Return a sentence for each region with an area in which no held-out sample lies."""
+    found = []
+    for number, region in enumerate(with_rest(settled.scene.region)):
+        area_mm2 = 1e6 * float(reference.areas[reference.region == number].sum())
+        if region.is_measured and area_mm2 and not np.any(samples.region == number):
+            found.append(f"the region '{region.name}' cannot be measured: {no_samples(area_mm2, len(samples))}")
+    return found
 
 
 def _require_candidates(options: SetupOptions, tried: Sequence[Setup | str]) -> None:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import platform
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -189,6 +190,10 @@ class RunFolder:
         except FileError:
             # A full disk may refuse this manifest as well; the earlier one still names the stage.
             return
+
+    def discard(self) -> None:
+        """Remove the unfinished folder."""
+        shutil.rmtree(self.path, ignore_errors=True)
 
     def _close(self, status: str, exit_code: int | None) -> None:
         artefacts = dict(sorted(self._artefacts.items()))

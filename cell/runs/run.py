@@ -216,8 +216,13 @@ class Run(ArtefactFolder):
 
     @property
     def is_single_setup(self) -> bool:
-        """Whether the coverage target applies to this run alone, so that a repair can restore it."""
+        """Whether the coverage target applies to this run alone."""
         return self.report.is_single_setup and not self.is_setup_of_group
+
+    @property
+    def is_repairable(self) -> bool:
+        """Whether the run has a coverage target of its own, which a repair can restore."""
+        return self.report.is_repairable and not self.is_setup_of_group
 
     @cached_property
     def plan(self) -> PlanFile:

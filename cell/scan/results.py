@@ -68,7 +68,7 @@ from planner.ports import Rejection, Scanner
 from planner.registration.cloud import PointCloud, ScanCloud, merge, point_spacing
 from planner.registration.localisation import SearchRange, fit_surface
 from planner.registration.observability import RigidFit, describe
-from planner.registration.registration import Registration, register
+from planner.registration.registration import Registration, ScanRegistration, register
 from planner.registration.surface import EDGE_BAND, Deviation, measure_deviation
 from planner.values import Bools, Floats
 
@@ -580,7 +580,7 @@ def _execution_report(
 
 def _settings(cell: RunCell, options: Mapping[str, object], seed: int) -> ExecutedSettings:
     """Return the settings of an execution from the options of its manifest; a missing option is null."""
-    names = ("driver", "view", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
+    names = ("driver", "view", "actual", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
     return ExecutedSettings.model_validate(
         {
             **{name: options.get(name) for name in names},
@@ -624,9 +624,26 @@ def _view_values(k: int, scan: ExecutedScan, results: ExecutionResults) -> Execu
         pose_error_deg=None if before is None else _deg(before[1]),
         pose_error_after_mm=None if after is None else _mm(after[0]),
         pose_error_after_deg=None if after is None else _deg(after[1]),
+        **_split_errors(scan, results.merged.poses[k], registered),
         registration=None if registered is None else registered.sentence,
         free_directions=0 if registered is None else len(registered.free),
     )
+
+
+def _split_errors(scan: ExecutedScan, T_registered: Floats, registered: ScanRegistration | None) -> dict[str, float]:
+    """Return the pose errors along determined and undetermined directions; empty if they are not known."""
+    if scan.T_true is None or registered is None:
+        return {}
+    before, _ = registered.split_motion(scan.T_true @ np.linalg.inv(scan.T_reported))
+    after, free = registered.split_motion(scan.T_true @ np.linalg.inv(T_registered))
+    return {
+        "determined_error_mm": _mm(before[0]),
+        "determined_error_after_mm": _mm(after[0]),
+        "determined_error_deg": _deg(before[1]),
+        "determined_error_after_deg": _deg(after[1]),
+        "undetermined_error_mm": _mm(free[0]),
+        "undetermined_error_deg": _deg(free[1]),
+    }
 
 
 def localisation_values(merged: MergedScans, scans: Sequence[ExecutedScan]) -> ExecutedLocalisation | None:

@@ -966,7 +966,7 @@ class Picture(Table):
 class Scene(Table):
     """A scene; `Scene()` is the built-in one."""
 
-    clearance_mm: NotNegative = 10.0
+    clearance_mm: Annotated[NotNegative, Field(le=1000.0)] = 10.0
     arrival_mm: Positive | None = None
     path_tolerance_mm: Positive | None = None
     robot: Robot = Field(default_factory=Robot)

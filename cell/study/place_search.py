@@ -1,12 +1,13 @@
 """`cell place`: search the placement with most coverage, then fewest views, then the shortest cycle.
 
-Four rounds of trials, so that a stopped search resumes:
+Five rounds of trials, so that a stopped search resumes:
 
 1. coarse evaluations (200 candidates, coverage only) at the placements of a Sobol sequence over the range;
 2. finer evaluations (300 candidates) of the best of them, and a compass search from the best basins: steps along each
    axis, halved if no neighbour is better;
 3. full coverage at the best placements of round 2;
-4. views and cycle time of the best of round 3.
+4. views and cycle time of the best of round 3;
+5. plans of the best of round 4 and of the placement of the scene, if it is in the range; the best plan is recommended.
 
 The result has the ten best placements with their spread, and the distances from the best one to placements where
 nothing is reachable or 5 % of its coverage is lost.
@@ -29,10 +30,20 @@ from cell.study.placement_study import (
     AXES,
     COVERAGE_ONLY,
     WITH_VIEWS,
-    cycle_text,
     evaluate_placement,
     place_option,
     placement_row,
+    planned_text,
+)
+from cell.study.planned_placement import (
+    N_PLANNED,
+    PlannedPlacement,
+    best_place,
+    finalist_trials,
+    is_within,
+    place_of,
+    planned_columns,
+    planned_of,
 )
 from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, StudyResult, write_folder
@@ -134,6 +145,18 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         values = compute(name, points, what=COVERAGE_ONLY, candidates=candidates)
         return [PlaceCoverage(value.get("coverable", 0.0), value.get("reachable", 0.0)) for value in values]
 
+    def compute_plans(points: Sequence[Place]) -> dict[Place, PlannedPlacement]:
+        trials = finalist_trials(scene, points)
+        places["plans"] = len(trials)
+
+        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
+            if progress is not None:
+                progress("plans", done, total)
+
+        values = {each.trial: each.values for each in run_trials(list(trials.values()), workers, on_outcome=on_outcome)}
+        found = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
+        return {place: each for place, each in found.items() if each is not None}
+
     unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(COARSE_PLACES)
     points = np.tile(low, (COARSE_PLACES if len(free) else 1, 1))
     if len(free):
@@ -173,9 +196,36 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         (placement_row(point, (b, c), each) for point, each in zip(finalists, values, strict=True) if "views" in each),
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
+    default = place_of(scene)
+    some = [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
+    if is_within(default, list(zip(*where.ends, strict=True))):
+        some.append(default)
+        if default not in [tuple(row[axis] for axis in AXES) for row in ten]:
+            (own,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
+            ten.append(placement_row(default, (b, c), own))
+    ten = _planned_first(ten, compute_plans(some), default)
     lost, unreached = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
     shares = [each.coverable for each in coarse]
     return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost, unreached, places, len(evaluated))
+
+
+def _planned_first(rows: Sequence[Row], planned: Mapping[Place, PlannedPlacement], default: Place) -> list[Row]:
+    """Return the ten best rows with the numbers of their plans: the best plan, other plans, then rows without a plan.
+
+    Raises:
+        UnreachableError: if none of the placements has a plan.
+    """
+    if not planned:
+        raise UnreachableError("none of the best placements has a plan; move or widen the range (--x, --y, --z, --yaw)")
+    best = best_place(planned, default)
+
+    def rank(row: Row) -> tuple[bool, bool, tuple[float, ...]]:
+        place = tuple(row[axis] for axis in AXES)
+        return place != best, place not in planned, planned[place].rank if place in planned else ()
+
+    return [row | planned_columns(planned.get(tuple(row[axis] for axis in AXES))) for row in sorted(rows, key=rank)][
+        :10
+    ]
 
 
 def place_study(
@@ -265,13 +315,13 @@ def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCove
 def sentences(found: PlaceSearchResult) -> list[str]:
     """Summarise the best placement and its certainty."""
     best, ten = found.ten[0], found.ten
+    views = [row["views"] for row in ten if row["views"] is not None]
     spread = [np.ptp([row[axis] for row in ten]) for axis in AXES]
     low, high = min(row["coverable %"] for row in ten), max(row["coverable %"] for row in ten)
     return [
-        f"Best place: `{place_option(best)}`. {best['views']} views (lower bound {best['fewest views']}) measure "
-        f"{best['visible %']:.1f} % of the surface{cycle_text(best)}.",
-        f"The {len(ten)} best places cover {low:.1f} to {high:.1f} % with {min(row['views'] for row in ten)} to "
-        f"{max(row['views'] for row in ten)} views; they spread over {spread[0]:.0f} x {spread[1]:.0f} x "
+        f"Best place: `{place_option(best)}`. {planned_text(best)}.",
+        f"By the estimates before the plans, the {len(ten)} best places cover {low:.1f} to {high:.1f} % with "
+        f"{min(views)} to {max(views)} views; they spread over {spread[0]:.0f} x {spread[1]:.0f} x "
         f"{spread[2]:.0f} mm and {spread[3]:.0f} deg.",
         f"{_distance_text(found.lost_mm, '5 % of its coverage is lost')}; "
         f"{_distance_text(found.unreached_mm, 'nothing is reachable').lower()}.",

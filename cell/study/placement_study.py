@@ -1,7 +1,8 @@
 """Placements of the part: the trial of a placement, and `cell study placement`, a grid of them (the paper's Table 5).
 
 Coverage is that of the matrix's samples, with post, floor and fixtures as occluders. The views are a selection with its
-lower bound. The cycle time is an estimate from straight joint moves, without detours around obstacles.
+lower bound. The cycle time is an estimate from straight joint moves, without detours around obstacles. The best by
+these estimates and the placement of the scene are planned (`cell.study.planned_placement`); the best plan wins.
 """
 
 import math
@@ -16,6 +17,15 @@ from cell import scanners
 from cell.errors import SceneError
 from cell.plan.candidates import GROWN, Cell, view_evaluator
 from cell.scene.model import Scene
+from cell.study.planned_placement import (
+    N_PLANNED,
+    best_place,
+    finalist_trials,
+    is_within,
+    place_of,
+    planned_columns,
+    planned_of,
+)
 from cell.study.prepared_part import Bench, scene_settings, shared_bench, solve_reach
 from cell.study.study import Row, Study
 from cell.study.trials import JsonTable, Outcome, Trial
@@ -156,18 +166,43 @@ def placement_study(
         for place in product(x, y, z, yaw)
     }
 
-    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    default = place_of(scene)
+    is_asked = is_within(default, (x, y, z, yaw))
+
+    def estimates(outcomes: Sequence[Outcome]) -> dict[tuple[float, ...], Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
-        return [
-            placement_row(place, (b, c), values[trial]) | {"home free": values[trial]["home_free"]}
+        return {
+            place: placement_row(place, (b, c), values[trial]) | {"home free": values[trial]["home_free"]}
             for place, trial in grid.items()
             if trial in values
+        }
+
+    def finalists(outcomes: Sequence[Outcome]) -> list[Trial]:
+        found = estimates(outcomes)
+        some = [
+            place for place in sorted(found, key=lambda place: _estimated_rank(found[place])) if found[place]["views"]
         ]
+        return list(finalist_trials(scene, [*some[:N_PLANNED], *([default] if is_asked else [])]).values())
+
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        values = {outcome.trial: outcome.values for outcome in outcomes}
+        found = estimates(outcomes)
+        planned = {
+            place: plan
+            for place, trial in finalist_trials(scene, [*found, default]).items()
+            if (plan := planned_of(values.get(trial))) is not None
+        }
+        if default in planned and default not in found:
+            found[default] = placement_row(default, (b, c), {"reachable": None, "coverable": None}) | {
+                "home free": True
+            }
+        best = best_place(planned, default) if planned else None
+        return [row | planned_columns(planned.get(place)) | {"best": place == best} for place, row in found.items()]
 
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(
         "placement", f"Placements of {name}: {len(grid)}", list(grid.values()), rows, pictures, sentences,
-        options=place_option, best=best_row,
+        options=place_option, best=best_row, finalists=finalists,
     )  # fmt: skip
 
 
@@ -176,25 +211,31 @@ def placement_row(place: tuple[float, ...], tilt: tuple[float, float], values: J
     return {
         **dict(zip(AXES, place, strict=True)),
         **(dict(zip(_TILT, tilt, strict=True)) if any(tilt) else {}),
-        "reachable %": 100 * values["reachable"],
-        "coverable %": 100 * values["coverable"],
+        "reachable %": _percent(values["reachable"]),
+        "coverable %": _percent(values["coverable"]),
         "views": values.get("views"),
-        "fewest views": values.get("lower_bound"),
         "visible %": None if "visible" not in values else 100 * values["visible"],
         "cycle s": values.get("cycle_s"),
     }
 
 
-def best_row(rows: Sequence[Row]) -> Row:
-    """Return the row with most coverage (to 0.1 percentage points), then fewest views, then the shortest cycle."""
-    return min(
-        rows, key=lambda row: (-round(row["coverable %"], 1), row["views"] or math.inf, row["cycle s"] or math.inf)
-    )
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+def _estimated_rank(row: Row) -> tuple[float, float, float]:
+    """Return a sort key: most coverage (to 0.1 percentage points), then fewest views, then the shortest cycle."""
+    return -round(row["coverable %"], 1), row["views"] or math.inf, row["cycle s"] or math.inf
+
+
+def best_row(rows: Sequence[Row]) -> Row | None:
+    """Return the row of the best plan; None if no placement is planned."""
+    return next((row for row in rows if row["best"]), None)
 
 
 def place_option(row: Row) -> str:
     """Return the option of `cell plan` for the placement of a row."""
-    return f"--place {','.join(f'{row.get(axis, 0.0):g}' for axis in (*AXES, *_TILT))}"
+    return f"--place {','.join(f'{row.get(axis, 0.0):.10g}' for axis in (*AXES, *_TILT))}"
 
 
 def cycle_text(row: Row) -> str:
@@ -202,30 +243,41 @@ def cycle_text(row: Row) -> str:
     return "" if row["cycle s"] is None else f" in about {row['cycle s']:.0f} s (estimate from straight joint moves)"
 
 
+def planned_text(row: Row) -> str:
+    """Return the numbers of a plan as the end of a sentence."""
+    proven = ", no fewer are possible with its candidates" if row["planned bound"] == row["planned views"] else ""
+    return (
+        f"{row['planned views']} views{proven} measure {row['planned %']:.2f} % of the surface in "
+        f"{row['planned s']:.1f} s of motion"
+    )
+
+
 def sentences(rows: Sequence[Row]) -> list[str]:
     """Summarise the best placement and the unreachable ones."""
-    best = best_row(rows)
-    if not best["coverable %"]:
-        return ["Nothing is measured at any of these placements; move the range nearer to the robot."]
-    unreachable = sum(not row["reachable %"] for row in rows)
+    best, gridded = best_row(rows), [row for row in rows if row["reachable %"] is not None]
+    unreachable = sum(not row["reachable %"] for row in gridded)
+    nothing = f"At {unreachable} of {len(gridded)} placements nothing is reachable."
+    if best is None:
+        return ["None of these placements can be planned; move the range nearer to the robot.", nothing]
+    planned = sum(row["planned views"] is not None for row in rows)
     return [
-        f"Best of these placements is `{place_option(best)}`: the robot reaches {best['reachable %']:.0f} % of the "
-        f"candidates, which measure {best['coverable %']:.1f} % of the surface with {best['views']} views (greedy; "
-        f"lower bound {best['fewest views']}){cycle_text(best)}.",
-        f"At {unreachable} of {len(rows)} placements nothing is reachable.",
+        f"Best of {planned} planned placements is `{place_option(best)}`: {planned_text(best)}. Coverable share, views "
+        "and cycle of the others are estimates, by which these were chosen.",
+        nothing,
     ]
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
     """Draw four maps for each height and yaw."""
-    for z, yaw in dict.fromkeys((row["z mm"], row["yaw deg"]) for row in rows):
+    gridded = [row for row in rows if row["reachable %"] is not None]
+    for z, yaw in dict.fromkeys((row["z mm"], row["yaw deg"]) for row in gridded):
         yield (
             f"map_z{z:g}_yaw{yaw:g}",
-            _picture([row for row in rows if (row["z mm"], row["yaw deg"]) == (z, yaw)], z, yaw, best_row(rows)),
+            _picture([row for row in gridded if (row["z mm"], row["yaw deg"]) == (z, yaw)], z, yaw, best_row(rows)),
         )
 
 
-def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row) -> Figure:
+def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Figure:
     x, y = (np.array(sorted({row[axis] for row in rows})) for axis in ("x mm", "y mm"))
     figure = Figure(figsize=(12.0, 10.0), dpi=100, layout="constrained")
     for axes, (column, title, colours) in zip(figure.subplots(2, 2).flat, _MAPS, strict=True):
@@ -237,7 +289,7 @@ def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row) -> Figure:
         figure.colorbar(image, ax=axes, shrink=0.9)
         axes.set_facecolor("#dddddd")  # no value: nothing reached, or no move
         axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color=VERMILION))
-        if (best["z mm"], best["yaw deg"]) == (z, yaw):
+        if best is not None and (best["z mm"], best["yaw deg"]) == (z, yaw):
             axes.plot(best["x mm"], best["y mm"], marker="*", color="white", markeredgecolor="black", markersize=15)
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("x of the part's centre, base frame [mm]")

@@ -47,6 +47,7 @@ class Study:
         name: of the study and of its folder.
         title: for people.
         trials: the trials.
+        finalists: makes further trials from the outcomes of these.
         rows: makes at least one row for each successful trial.
         pictures: makes file stem and figure of each picture.
         sentences: summarises the rows in Markdown paragraphs.
@@ -63,7 +64,8 @@ class Study:
     sentences: Callable[[Sequence[Row]], Sequence[str]] = field(default=lambda rows: ())
     shown: Sequence[str] = ()
     options: Callable[[Row], str] | None = None
-    best: Callable[[Sequence[Row]], Row] | None = None
+    best: Callable[[Sequence[Row]], Row | None] | None = None
+    finalists: Callable[[Sequence[Outcome]], Sequence[Trial]] = field(default=lambda outcomes: ())
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -153,14 +155,20 @@ def run_study(
         FileError: if the folder has other content or cannot be written.
     """
     folder = study_folder(study.name, out)
-    with reporter.stage(study.title, time_left=True) as progress:
 
-        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
-            progress(done, total)
-            if outcome.failure:
-                reporter.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study continues")
+    def run(title: str, trials: Sequence[Trial]) -> list[Outcome]:
+        with reporter.stage(title, time_left=True) as progress:
 
-        outcomes = run_trials(study.trials, workers, on_outcome=on_outcome)
+            def on_outcome(done: int, total: int, outcome: Outcome) -> None:
+                progress(done, total)
+                if outcome.failure:
+                    reporter.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study continues")
+
+            return run_trials(trials, workers, on_outcome=on_outcome)
+
+    outcomes = run(study.title, study.trials)
+    if finalists := study.finalists([outcome for outcome in outcomes if not outcome.failure]):
+        outcomes += run("plans of the best", finalists)
     rows = study.rows([outcome for outcome in outcomes if not outcome.failure])
     options = [study.options(row) for row in rows] if study.options else []
     best = study.best(rows) if study.best and rows else None

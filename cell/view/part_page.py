@@ -166,6 +166,7 @@ def _empty_cell() -> CellGeometry:
         axis=np.tile([0.0, 0.0, 1.0], (6, 1)),
         T_link_scanner=np.eye(4),
         home=np.zeros(6),
+        limits=np.tile([-np.pi, np.pi], (6, 1)),
     )
     return CellGeometry((), arm, np.eye(4), np.zeros((4, 3)), 0, np.eye(4))
 

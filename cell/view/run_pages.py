@@ -14,6 +14,7 @@ import numpy as np
 
 from cell.runs import timeline as timelines
 from cell.runs.cell import RunCell, read_cell
+from cell.runs.next_commands import after_plan, drop_command
 from cell.runs.run import Execution, RecordedExecution, Run
 from cell.runs.schema import PlanView, Report
 from cell.scene.model import RegionTargets
@@ -38,6 +39,11 @@ PAGE_FILE = "view.html"
 PARTIAL_PAGE_FILE = "view.html.half"
 """Name of the page's first half while the plan is not finished."""
 
+VIEWS_LAYER = "Number of views"
+"""Title of the layer of measuring views."""
+
+_DEVIATION = "Deviation"
+
 _QUALITY_LAYERS = {
     "sigma": ("Expected standard deviation", "of a point along its ray, in the view with the smallest value"),
     "spacing": ("Spacing of points", "larger distance between neighbours, in the view with the smallest value"),
@@ -56,7 +62,7 @@ def run_page(run: Run) -> str:
     canvas, surface = measure_run(run, read_cell(run), [view.T_object_poses for view in run.plan.views])
     cell = with_ignored_faces(cell, canvas.mesh, canvas.ignored)
     part = part_surface(canvas, surface, regions=scene.regions)
-    return render_page(PageScene(title, cell, [part]), run_contents(run))
+    return render_page(PageScene(title, cell, [part], opens_on=VIEWS_LAYER), run_contents(run))
 
 
 def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequence[tuple[Ints, str]]) -> str:
@@ -117,7 +123,10 @@ def execution_page(
     points = done.points if recorded.scans else None
     contents = replace(execution_contents(run, recorded, done, cell), cloud=points)
     cell = with_ignored_faces(cell, known[0].mesh, known[0].ignored)
-    return render_page(PageScene(f"Scan of {scene.part.name}, points: {done.report.source}", cell, shown), contents)
+    title = f"Scan of {scene.part.name}, points: {done.report.source}"
+    has_deviation = done.surface is not None
+    opens_on = _DEVIATION if has_deviation else VIEWS_LAYER
+    return render_page(PageScene(title, cell, shown, opens_on=opens_on, is_alone=has_deviation), contents)
 
 
 def measure_run(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, MeasuredSamples]:
@@ -155,7 +164,7 @@ def part_surface(
     rows = canvas.vertex_samples()
     layers = list(first)
     bits = np.packbits(surface.seen[rows], axis=1, bitorder="little")
-    layers.append(Layer("Number of views", "views", bits.reshape(len(rows), -1), canvas.note))
+    layers.append(Layer(VIEWS_LAYER, "views", bits.reshape(len(rows), -1), canvas.note))
     for name, (title, note) in _QUALITY_LAYERS.items():
         if (values := surface.layers.get(name)) is None:
             continue
@@ -170,10 +179,13 @@ def part_surface(
 
 def run_contents(run: Run) -> PageContents:
     """Return the views, the motion and the numbers of a run's plan, for a page in the run folder."""
-    return plan_contents(run.report, run.plan.views, run.motion, run.scene.T_base_object)
+    return plan_contents(run.report, run.plan.views, run.motion, run.scene.T_base_object, after_plan(run))
 
 
-def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats) -> PageContents:
+def plan_contents(
+    report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats,
+    following: Sequence[Sequence[str]],
+) -> PageContents:  # fmt: skip
     """Return the views, the motion and the numbers of a plan, for a page in its run folder.
 
     Args:
@@ -181,6 +193,7 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
         views: in visiting order.
         motion: the plan's.
         T_base_object: (4, 4) placement with a rotary table at 0 [m].
+        following: commands for the plan, with RUN for its folder.
     """
     timeline = timelines.plan_timeline(motion, rest=0.0)
     at = {stop.candidate: stop.begin for stop in timeline.stops}
@@ -192,7 +205,7 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
             ("clearance", _format_mm(own.segment_clearance_mm) + " on the path to it"),
-        ], _commands(number, view.T_base_scanner, is_single_setup=report.is_single_setup))
+        ], _commands(number, view.T_base_scanner, report))
         for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
@@ -209,8 +222,7 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
         ),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
     ]
-    has_table = any(view.e_deg for view in views)  # `cell why` does not support a table
-    commands = ["cell scan RUN", *([] if has_table else ["cell why RUN"]), "cell export RUN"]
+    commands = [" ".join(words) for words in following]
     return PageContents(page_views, (timeline.t, timeline.q), rows=rows, next_commands=commands, folder_depth=0)
 
 
@@ -219,13 +231,13 @@ def _pose_at_part(view: PlanView, T_base_object: Floats) -> Floats:
     return view.T_base_scanner if view.T_base_object is None else T_base_object @ view.T_object_scanner
 
 
-def _commands(number: int, T_base_scanner: Floats, *, is_single_setup: bool) -> list[str]:
+def _commands(number: int, T_base_scanner: Floats, report: Report) -> list[str]:
     """Return commands for a view, to be pasted; `--move` has its current pose."""
     position, abc = kuka_abc_from_pose(T_base_scanner)
     pose = ",".join(f"{value:.3f}".rstrip("0").rstrip(".") for value in (*1000 * position, *np.degrees(abc)))
-    drop = f"--drop {number}" + (" --repair" if is_single_setup else "")
-    edits = drop, f"--turn {number}:90", f"--move {number}:{pose}"
-    return [f"cell replay RUN --view {number}", *(f"cell edit RUN {edit}" for edit in edits)]
+    drop = drop_command(report, number)
+    edits = f"cell edit RUN --turn {number}:90", f"cell edit RUN --move {number}:{pose}"
+    return [f"cell replay RUN --view {number}", *([" ".join(drop)] if drop else []), *edits]
 
 
 def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, cell: CellGeometry) -> PageContents:
@@ -262,6 +274,7 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         rows += [(f"{each['name']} ({each['kind']})", _verdict(each)) for each in features["characteristics"]]
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
+        rows += [("", deviation.edge_note)] if deviation.edge_note else []
     notes = list(timeline.notes)
     if report.n_points > MAX_POINTS:
         notes.append(_thinning_note(MAX_POINTS, report.n_points, "points"))
@@ -289,7 +302,7 @@ def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execut
         note += f"; {_thinning_note(len(small.faces), len(mesh.faces), 'faces')}; faces of closed holes are not marked"
     deviation = done.report.deviation
     limit = 1.0 if deviation is None else 1.5 * max(deviation.quantile_95_mm, 1e-3)  # as in deviation.png
-    return PageSurface("surface", small, [quantised_layer(values, "Deviation", "signed", (-limit, limit), note)])
+    return PageSurface("surface", small, [quantised_layer(values, _DEVIATION, "signed", (-limit, limit), note)])
 
 
 def _thinning_note(shown: int, of: int, what: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import JsonValue
 
 from cell.plan.candidates import Cell, view_evaluator
+from cell.plan.stable_poses import MARGIN, Underside, needs_fixture
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import Run
 from cell.session import ProgressReporter, Stream, default_effort, random_stream
@@ -81,7 +82,7 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
         for done, (turn, _, T_base_centre, there) in enumerate(rotated_worlds(world)):
             progress(done, len(ROTATIONS))
             share, error = _share(samples, left, arm(there))
-            what, command = f"{turn}, in addition to this plan", setup_command(run, T_base_centre)
+            what, command = f"{turn}, in addition to this plan{_support(there)}", setup_command(run, T_base_centre)
             advice.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
     placements: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[: default_effort().searched_samples])
@@ -102,6 +103,13 @@ def _share(samples: SurfaceSamples, rows: Ints, arm: ViewEvaluator | None) -> tu
     some = pick_samples(samples, rows)
     share = float(probe_attainable(RayTargets.of(some.points, some.normals, some.region), arm).measured.mean())
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
+
+
+def _support(world: World) -> str:
+    """Return the note that the part does not rest on its post; "" if it does, or has none."""
+    post, R = world.scene.post, world.T_base_object[:3, :3]
+    margin = Underside(world.part_mesh, R, world.T_object_centre[:3, 3]).margin(post)
+    return needs_fixture(post) if post.enabled and margin < MARGIN else ""
 
 
 def _displaced_placements(world: World) -> Iterator[tuple[str, Floats]]:

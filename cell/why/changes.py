@@ -75,8 +75,10 @@ class Changes:
         for count in sorted({1, len(chosen)} if chosen else ()):
             names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
-            poses = T[np.array(chosen[:count])]
-            found.append(PlanChange(ChangeKind.VIEW, count, sentence, "", poses, self.cell.scanner, self.cell.casters))
+            poses, setting = T[np.array(chosen[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
+            found.append(
+                PlanChange(ChangeKind.VIEW, count, sentence, setting, poses, self.cell.scanner, self.cell.casters)
+            )
         return found
 
     def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
@@ -141,7 +143,8 @@ class Changes:
 
     def _turned(self, how: str, change: float, T_base_centre: Floats, there: World) -> PlanChange:
         """Return the change to a second set-up with the part rotated about its centre."""
-        return self._in(there, ChangeKind.TURN, change, how, f"--place {format_placement(T_base_centre)}")
+        setting = f"cell setups --first RUN --proposals 1 --place {format_placement(T_base_centre)}"
+        return self._in(there, ChangeKind.TURN, change, how, setting)
 
     def _without(self, name: str) -> PlanChange:
         what = "without the post (the part held in another way)" if name == "post" else f"without fixture {name}"

@@ -63,6 +63,7 @@ _SKIN = 1e-6  # m; a housing with its front face in the source's plane does not 
 _SIGHT_LENGTH = 1.0  # m; depth at which the sensor's lines of sight end: nearer ends are inside the same fan
 _WRIST_SHAPES = ("link_6", "bracket")  # the shapes that carry the housing
 _STEPS, _HALVINGS = 24, 12
+_DETOURS = 4  # objects, one after the other, that a move out of another object avoids
 
 _STATIONARY = ("base", "pedestal")
 
@@ -128,14 +129,48 @@ def _move_object(world: World, name: str, move: Floats) -> str:
     tenths = np.ceil(length * 1e4 - _ROUNDING) / 1e4
     move = move * (tenths / length) if length > 0 else move
     if name in ("part", "post"):
-        return _move_key("placement.position_mm", (world.T_base_object @ world.T_object_centre)[:3, 3], move)
-    if name == TABLE and world.table is not None:
-        return _move_key("table.position_mm", world.table.T_base_table[:3, 3], move)
-    fixtures = world.scene.fixtures
-    index = [fixture.name for fixture in fixtures].index(name)
-    if fixtures[index].attached_to == "object":
-        move = world.T_base_object[:3, :3].T @ move
-    return _move_key(f"fixtures[{index}].position_mm", fixtures[index].T[:3, 3], move)
+        key, position, step = "placement.position_mm", (world.T_base_object @ world.T_object_centre)[:3, 3], move
+    elif name == TABLE and world.table is not None:
+        key, position, step = "table.position_mm", world.table.T_base_table[:3, 3], move
+    else:
+        fixtures = world.scene.fixtures
+        index = [fixture.name for fixture in fixtures].index(name)
+        key, position, step = f"fixtures[{index}].position_mm", fixtures[index].T[:3, 3], move
+        if fixtures[index].attached_to == "object":
+            step = world.T_base_object[:3, :3].T @ move
+    if hit := _hit_by_move(world, cell_solids(world), name, move):
+        return f"change {key}: the shortest move would bring it into {_named(world, hit[0])}"
+    return _move_key(key, position, step)
+
+
+def _moved(solid: Solid, move: Floats) -> Solid:
+    return Solid(solid.name, solid.vertices + move, solid.faces, solid.axes)
+
+
+def _hit_by_move(world: World, solids: dict[str, Solid], name: str, move: Floats) -> list[str]:
+    """Return the objects that part, post or a fixture, moved by (3,) [m], newly penetrates, or the arm that it nears.
+
+    Post and fixtures of the part move with it. Where a table moves, everything on it is placed again.
+    """
+    if name == TABLE:
+        return []
+    with_part = {"part", "post", *(each.name for each in world.scene.fixtures if each.attached_to == "object")}
+    moving = with_part if name in ("part", "post") else {name}
+    arm, hit = [each for each in robot_bodies(world) if each not in _STATIONARY], dict[str, None]()
+    for mover in sorted(moving & solids.keys()):
+        there, here = _moved(solids[mover], move), solids[mover]
+        for other in solids.keys() - moving:
+            if other in arm:
+                is_new = touches(there, solids[other], world.clearance) and not touches(
+                    here, solids[other], world.clearance
+                )
+            else:
+                is_new = penetrates(there, solids[other]) and not penetrates(here, solids[other])
+            if is_new and not (mover == "post" and other not in _STATIONARY):
+                hit[other] = None
+        if mover != "post" and there.low[2] < world.floor - CONTACT_DISTANCE and there.low[2] < here.low[2]:
+            hit["floor"] = None
+    return sorted(hit)
 
 
 def _move_key(key: str, position: Floats, move: Floats) -> str:
@@ -159,10 +194,33 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
         at_home: whether the other is a part of the robot at home.
     """
     out = minimum_translation(one, other)
-    cure = _move_object(world, one.name, out if move is None else move)
+    cure = _move_object(world, one.name, _clear_move(world, one, other) if move is None else move)
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
     return f"{_named(world, one.name)} intersects {_named(world, other.name)}{where}, {depth}; {cure}{also}"
+
+
+def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0) -> Floats:
+    """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
+
+    It is the shortest separation of the two alone if no such move is found.
+
+    Args:
+        world: the cell of both.
+        one: part, post, table or a fixture.
+        other: an object, or the robot.
+        gap: distance to the other afterwards [m].
+    """
+    shortest = move = minimum_translation(one, other, gap)
+    solids, around = cell_solids(world), set[str]()
+    for _ in range(_DETOURS):
+        hit = [name for name in _hit_by_move(world, solids, one.name, move) if name in solids]
+        if not hit:
+            return move
+        around |= set(hit)
+        pieces = [(other.vertices, other.faces), *((solids[name].vertices, solids[name].faces) for name in around)]
+        move = minimum_translation(one, Solid("obstacles", *concatenate_meshes(pieces)[:2], other.axes), gap)
+    return move if not _hit_by_move(world, solids, one.name, move) else shortest
 
 
 def _home_outside_limits(world: World) -> list[str]:
@@ -325,7 +383,7 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
         piece = min(distances, key=lambda each: distances[each], default="")
         if not piece or distances[piece] >= world.clearance - 1e-9:
             continue
-        move = minimum_translation(solids[name], robot_solid(world, solids), world.clearance)
+        move = _clear_move(world, solids[name], robot_solid(world, solids), world.clearance)
         if distances[piece] < 0 or penetrates(solids[name], solids[piece]):
             problems.append(_penetration(world, solids[name], solids[piece], move=move, at_home=True))
         else:
@@ -520,6 +578,10 @@ class _Rest:
         nearest = int(np.argmin(self._gaps))
         return float(self._gaps[nearest]), self._names[self._below[nearest]]
 
+    def margin(self) -> float:
+        """Return the distance of its centre of mass from the edge of its contacts, negative outside [m]."""
+        return hull_margin(self._points[self._gaps <= CONTACT_DISTANCE][:, :2], centre_of_mass(self._solid)[:2])
+
     def move_to_balance(self) -> Floats | None:
         """Return the shortest move (3,) [m] that brings its centre of mass above its contacts; None if it is there."""
         points = self._points[self._gaps <= CONTACT_DISTANCE][:, :2]
@@ -556,6 +618,33 @@ def _to_hull(points: Floats, at: Floats) -> Floats:
     nearest = corners + np.clip(share, 0, 1)[:, None] * ends
     vector: Floats = nearest[np.argmin(np.linalg.norm(nearest - at, axis=1))] - at
     return vector
+
+
+def hull_margin(points: Floats, at: Floats) -> float:
+    """Return the distance of a point (2,) from the edge of the convex hull of points (N, 2), negative outside [m].
+
+    It is -inf if the points are on a line: a body on an edge tips.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return -np.inf
+    return -float((hull.equations[:, :2] @ at + hull.equations[:, 2]).max())
+
+
+def support_margin(world: World) -> float:
+    """Return the distance of the part's centre of mass from the edge of its contact polygon in plan view [m].
+
+    Supports are post, table, fixtures and floor below the part.
+
+    Returns:
+        Negative outside the polygon; -inf if nothing supports the part.
+    """
+    solids = {name: solid for name, solid in cell_solids(world).items() if name not in robot_bodies(world)}
+    below = [solid for name, solid in solids.items() if name != "part"]
+    return _Rest(solids["part"], below, world.floor, _FINE_GRID).margin()
 
 
 def centre_of_mass(solid: Solid) -> Floats:

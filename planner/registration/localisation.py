@@ -51,6 +51,7 @@ _AS_GOOD = 1.5  # ratio of remaining distances up to which another placement fit
 _MAX_OUTLIERS = 0.3  # share of points off the surface above which the fit is doubted
 _OUTLIER = 5.0  # robust sigma beyond which a point is off the surface
 _NOISE = 0.005  # of the diagonal: more than the noise of any scanner
+_ON_LINE = 1e-3  # smallest width of pairs of points, as a share of their length
 _COINCIDENT = 1e-6  # m; points that are no farther apart are the same
 
 
@@ -286,6 +287,12 @@ def fit_pairs(nominal: Floats, measured: Floats, centre: Floats, length: float, 
     middle, there = nominal.mean(axis=0), measured.mean(axis=0)
     if np.linalg.norm(nominal - middle, axis=1).max() < _COINCIDENT:
         raise PlannerError("all pairs name the same point; give at least three, not on a line")
+    for kind, points in (("nominal", nominal), ("measured", measured)):
+        sides = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if sides[1] < max(_ON_LINE * sides[0], _COINCIDENT):
+            raise PlannerError(
+                f"the {kind} points lie on a line, and any rotation about it fits as well; add a pair beside the line"
+            )
     left_axes, _, right_axes = np.linalg.svd((measured - there).T @ (nominal - middle))
     T = np.eye(4)
     T[:3, :3] = left_axes @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left_axes @ right_axes))]) @ right_axes

@@ -21,7 +21,7 @@ from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud, ScanCloud, estimate_normals, point_spacing
 from planner.registration.observability import FreeMotion, describe, free_motions, split_directions
-from planner.registration.rigid import motion_from_vector, transform_points
+from planner.registration.rigid import length_scale, motion_from_vector, screw_from_motion, transform_points
 from planner.values import Floats, Ints, Value
 
 MIN_MATCHES = 12
@@ -275,6 +275,9 @@ class ScanRegistration(Value):
         used: share of inliers among the matched points.
         rank: number of observed directions, at most six.
         free: motions in the other directions.
+        free_directions: (6, 6 - rank) the same, orthonormal in coordinates (translation, length * rotation).
+        centre: (3,) of the scan's points [m].
+        length: root mean square distance of the points from it [m].
     """
 
     status: RegistrationStatus
@@ -284,6 +287,24 @@ class ScanRegistration(Value):
     used: float
     rank: int
     free: tuple[FreeMotion, ...]
+    free_directions: Annotated[Floats, "6 _"]
+    centre: Annotated[Floats, "3"]
+    length: float
+
+    def split_motion(self, T: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Split a motion (4, 4) of the scan, such as an error of its pose, at the centre of its points.
+
+        Returns:
+            Translation [m] and rotation [rad] along the observed directions, and along the free ones.
+        """
+        scale = length_scale(self.length or 1.0)
+        screw = scale * screw_from_motion(T, self.centre)
+        free = self.free_directions @ (self.free_directions.T @ screw)
+        observed, unobserved = (screw - free) / scale, free / scale
+        first, second = (
+            (float(np.linalg.norm(part[:3])), float(np.linalg.norm(part[3:]))) for part in (observed, unobserved)
+        )
+        return first, second
 
     @property
     def is_corrected(self) -> bool:
@@ -412,7 +433,9 @@ def _judge(
     T = scan.T if status in _MOVED else np.eye(4)
     rms_after = rms_after if status in _MOVED else rms_before
     motions = free_motions(free, scan.centre, scan.length) if is_matched else ()
-    return ScanRegistration(status, T, rms_before, rms_after, used, 6 - free.shape[1], motions)
+    return ScanRegistration(
+        status, T, rms_before, rms_after, used, 6 - free.shape[1], motions, free, scan.centre, scan.length
+    )
 
 
 def _farthest_move(scan: MovingScan) -> float:

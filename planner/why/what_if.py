@@ -54,7 +54,8 @@ class PlanChange(Value):
         kind: its kind.
         change: its size; comparable within one kind.
         sentence: description ("standoff 260 mm instead of 300").
-        setting: option that applies it ("--standoff 300,260"); "" if there is none.
+        setting: option of the plan that applies it ("--standoff 300,260"), or a command with RUN for the run folder; ""
+            if there is none.
         T_object_scanner: (n, K, 4, 4) candidates that the arm reaches under the change [m].
         scanner: the sensor's law under the change.
         casters: casters of part and occluders under the change, object frame.

@@ -38,4 +38,4 @@ def test_refusals_have_a_sentence_and_a_code(
     """A refused edit reports its cause and exit code, and leaves no finished folder."""
     done = run_cell("edit", planned, *options, "--out", "edited", cwd=tmp_path, code=code)
     assert message in done.stderr
-    assert not (tmp_path / "edited").exists()
+    assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,7 @@
 """`cell locate`: a displaced part is located from several kinds of points and the plan is moved; refusals."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -146,17 +147,40 @@ def test_invalid_options_are_refused(options: dict[str, Any], message: str, plan
         locate(planned, **options)
 
 
-def test_an_undetermined_placement_is_refused(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
-    """Pairs on one line leave a rotation undetermined: exit code 2 and no new run."""
-    run = open_run(planned)
-    nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
+def _pairs(run: Run, nominal: np.ndarray, path: Path) -> tuple[object, ...]:
+    """Write pairs of points at the planned placement, and return the options that read them."""
     T = run.T_base_object
     rows = [
         f"p{k} " + " ".join(f"{1000 * value:.9f}" for value in (*p, *(T[:3, :3] @ p + T[:3, 3])))
         for k, p in enumerate(nominal)
     ]
-    (tmp_path / "line.txt").write_text("\n".join(rows))
-    output = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
-    done = run_cell("locate", planned, *output, "--out", tmp_path / "there", cwd=tmp_path, code=2)
+    path.write_text("\n".join(rows))
+    return "--pairs", path, "--points-frame", "base", "--points-units", "mm"
+
+
+def test_pairs_on_a_line_are_refused(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
+    """They leave a rotation undetermined: exit code 2 with and without a new run."""
+    nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
+    options = _pairs(open_run(planned), nominal, tmp_path / "line.txt")
+    for out in ((), ("--out", tmp_path / "there")):
+        done = run_cell("locate", planned, *options, *out, cwd=tmp_path, code=2)
+        assert "the nominal points lie on a line, and any rotation about it fits as well" in done.stderr
+    assert not list(tmp_path.glob("there*"))
+
+
+def test_an_undetermined_placement_is_refused_and_its_next_command_is_not(
+    run_cell: RunCommand, planned: Path, tmp_path: Path
+) -> None:
+    """Pairs near a line leave the rotation about it undetermined; the next command keeps that of the plan."""
+    nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 4)[:, None] * [0, 0, 1]
+    nominal[1, 0] += 0.0005
+    options = (*_pairs(open_run(planned), nominal, tmp_path / "near.txt"), "--point-sd", "0.05")
+    done = run_cell("locate", planned, *options, "--out", tmp_path / "there", cwd=tmp_path, code=2)
     assert "turning about" in done.stderr
     assert not list(tmp_path.glob("there*"))
+    (tmp_path / "sim_runs" / "there").mkdir(parents=True)
+    done = run_cell("locate", planned, *options, cwd=tmp_path, code=0)
+    (line,) = [line for line in done.stdout.splitlines() if line.strip().startswith("cell locate")]
+    assert "--keep-planned" in line
+    run_cell(*shlex.split(line)[1:], cwd=tmp_path, code=0)
+    assert open_run(tmp_path / "sim_runs" / "there-2").report.n_views == open_run(planned).report.n_views

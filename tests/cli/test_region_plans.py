@@ -164,3 +164,19 @@ def test_an_edit_meets_the_targets_of_regions_and_options(regions: Path, run_cel
         for before, after in ((name, f"{name}1"), (f"{name}1", f"{name}2")):
             done = run_cell("edit", before, "--keep-order", "--out", after, cwd=tmp_path)
             assert (done.returncode, "less than" in done.stderr) == (0, False), done.stderr
+
+
+def test_a_region_without_samples_is_reported(run_cell: RunCommand, tmp_path: Path) -> None:
+    """A region of 0.01 mm2 has an area and no held-out sample: exit code 3 and a sentence, in the report as well."""
+    trimesh.creation.box((60.0, 60.0, 40.0)).export(tmp_path / "block.stl")
+    tiny = '[[region]]\nname = "tiny"\nbox_mm = [0, 0, 19, 0.1, 0.1, 21]\n'
+    (tmp_path / "scene.toml").write_text(_REGIONS.split("[[region]]")[0] + tiny)
+    options = ("--scene", "scene.toml", "--place", "1000,300,200", "--out")
+    done = run_cell("plan", *options, "run", cwd=tmp_path, code=3)
+    sentence = "the region 'tiny' cannot be measured: none of the 10,000 samples of the surface lies in its 0.01 mm2"
+    assert sentence in done.stderr
+    tiny, rest = report_of(tmp_path / "run")["regions"]
+    assert (tiny["name"], tiny["visible"], tiny["area_mm2"]) == ("tiny", 0.0, pytest.approx(0.01))
+    assert rest["visible_of_coverable"] >= 0.9
+    done = run_cell("setups", *options, "both", "--proposals", "1", cwd=tmp_path, code=3)
+    assert sentence in done.stderr

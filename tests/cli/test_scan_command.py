@@ -222,8 +222,10 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     assert cloud.rms_to_reference_as_reported_mm > 0.3
     assert cloud.rms_to_reference_mm < cloud.rms_to_reference_as_reported_mm / 4
     for view in outcome.report.views:
-        assert view.pose_error_after_mm < view.pose_error_mm / 4
         assert view.reported_minus_commanded_deg == 0
+        assert view.determined_error_after_mm < view.determined_error_mm / 4
+        assert (view.undetermined_error_mm == 0) == (view.free_directions == 0)
+    assert "undetermined mm" in (outcome.folder / "report.md").read_text()
     assert "as reported" in (outcome.folder / "report.md").read_text()
     one = read_scan(outcome.folder / "scans" / "0001.npz")
     assert (one.q_commanded == one.q_reported).all()

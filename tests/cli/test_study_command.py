@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
@@ -95,6 +96,35 @@ def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
     assert answer["commands"][0] == f"cell plan {part_file} --scene coarse.toml --units=mm --place 1000,400,0,0,0,0"
     assert answer["best"] == 0
     assert (tmp_path / "map" / "map_z0_yaw0.png").is_file()
+
+
+def test_the_recommended_placement_is_no_worse_than_that_of_the_scene(
+    part_file: Path, run_cell: RunCommand, tmp_path: Path
+) -> None:
+    """The printed command gives the coverage, views and time of its row; the placement of the scene is planned too."""
+    (tmp_path / "coarse.toml").write_text(_COARSE + "[placement]\nposition_mm = [1150, 420, 60]\n")
+    options = ("--units", "mm", "--scene", "coarse.toml")
+    done = run_cell(
+        "study", "placement", part_file, *options, "--x", "1000,1300", "--y", "300,600", "--z", "0,100",
+        "--processes", "1", "--out", "map", "--json", cwd=tmp_path, code=0,
+    )  # fmt: skip
+    answer = json.loads(done.stdout)
+    (best,) = [row for row in answer["rows"] if row["best"]]
+    assert answer["rows"][answer["best"]] == best
+    (own,) = [row for row in answer["rows"] if (row["x mm"], row["y mm"], row["z mm"]) == (1150, 420, 60)]
+    assert own["reachable %"] is None  # not on the grid: only planned
+    assert sum(row["planned views"] is not None for row in answer["rows"]) == 5
+    planned = {}
+    for name, command in (("best", answer["commands"][answer["best"]]), ("scene", "cell plan --scene coarse.toml")):
+        words = shlex.split(command)[1:] if name == "best" else ["plan", part_file, *options]
+        report = json.loads(run_cell(*words, "--json", "--out", name, cwd=tmp_path, code=0).stdout)
+        planned[name] = report["coverage"]["visible"], report["n_views"], report["motion"]["duration_s"]
+    for name, row in (("best", best), ("scene", own)):
+        visible, views, seconds = planned[name]
+        assert (row["planned %"], row["planned views"]) == (pytest.approx(100 * visible), views)
+        assert row["planned s"] == pytest.approx(seconds, abs=1e-3)
+    key = {name: (-visible, views, seconds) for name, (visible, views, seconds) in planned.items()}
+    assert key["best"] <= key["scene"]
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,13 @@ def test_undetermined_motions_are_reported_and_not_corrected(shape: str, noise: 
     assert result.sentence.startswith(result.status.value)
     assert name in result.sentence
     assert result.rms_after < max(result.rms_before / 20, 1.2 * noise)
+    # An error splits into a determined part, which the correction removes, and a free part, which stays.
+    before, free_before = result.split_motion(np.linalg.inv(error))
+    after, free_after = result.split_motion(np.linalg.inv(result.T_correction @ error))
+    size = [np.hypot(part[0], part[1] * result.length) for part in (before, after, free_before, free_after)]
+    assert size[1] < max(size[0] / 10, 30e-6 + noise)
+    assert size[3] == pytest.approx(size[2], abs=60e-6)
+    assert (size[2] > 1e-6) == bool(kinds)
     # The correction is orthogonal to each free motion.
     moved = ScanCloud(true, SENSOR).transformed(error).points
     field = ScanCloud(moved, SENSOR).transformed(result.T_correction).points - moved

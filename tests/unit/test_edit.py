@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cell.api import edit as make_edit
 from cell.api import open_run
 from cell.errors import UnreachableError, UsageError
+from cell.plan.edit import Neighbourhood
 from cell.plan.edit_options import Edit, Move, Pose, Turn
 from cell.scene.options import flag, parse_options
 from planner.kinematics.frames import kuka_abc_from_pose
@@ -132,3 +134,45 @@ def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
     assert len(repaired.candidate) == len(run.candidate)
     assert repaired.coverage.planned_on_samples == pytest.approx(run.coverage.planned_on_samples)
     assert set(without.candidate) <= set(repaired.candidate)
+
+
+def test_the_neighbourhood_of_a_view_is_bounded_by_distance_and_viewing_angle() -> None:
+    """A turn about the viewing axis does not leave it. A neighbourhood without extent holds the pose alone."""
+
+    def at(x_mm: float, tilt_deg: float, roll_deg: float) -> np.ndarray:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xz", [tilt_deg, roll_deg], degrees=True).as_matrix()
+        T[0, 3] = x_mm / 1000
+        return T
+
+    poses = np.stack([at(0, 0, 0), at(0, 0, 90), at(49.9, 19.9, 0), at(50.1, 0, 0), at(0, 20.1, 0)])
+    near = Neighbourhood(poses[:1], 0.05, np.radians(20))
+    assert near.contains(poses).tolist() == [True, True, True, False, False]
+    assert Neighbourhood(poses[:1], 0.0, 0.0).contains(poses).tolist() == [True, False, False, False, False]
+
+
+def test_a_repair_stays_away_from_the_dropped_view(planned: Path, tmp_path: Path) -> None:
+    """No added view is within 50 mm and 20 deg of the dropped one, also if the repair is a later edit."""
+    run = open_run(planned)
+    dropped = run.candidates.T_object_scanner[run.candidate[1], 0]
+
+    def nearest(made: Any) -> list[tuple[float, float]]:
+        added = np.setdiff1d(made.candidate, run.candidate)
+        T = made.candidates.T_object_scanner[added, 0]
+        apart = 1000 * np.linalg.norm(T[:, :3, 3] - dropped[:3, 3], axis=1)
+        angle = np.degrees(np.arccos(np.clip(T[:, :3, 2] @ dropped[:3, 2], -1, 1)))
+        return list(zip(apart, angle, strict=True))
+
+    at_once = make_edit(run, drop=[2], repair=True, out=tmp_path / "at_once")
+    later = make_edit(make_edit(run, drop=[2], out=tmp_path / "without"), repair=True, out=tmp_path / "later")
+    for made in (at_once, later):
+        assert run.candidate[1] not in made.candidate
+        assert nearest(made)
+        assert all(apart > 50 or angle > 20 for apart, angle in nearest(made))
+    assert set(at_once.report.settings.banned or ()) == set(later.report.settings.banned or ())
+    alone = make_edit(run, drop=[2], dropped_range="0mm,0deg", repair=True, out=tmp_path / "alone")
+    assert alone.report.settings.banned == (run.candidate[1],)
+    assert len(alone.candidate) <= len(at_once.candidate)
+    wide = make_edit(run, drop=[2], dropped_range={"mm": 5000, "deg": 180}, repair=True, out=tmp_path / "wide")
+    assert set(wide.candidate) < set(run.candidate)
+    assert wide.exit_code == 3

@@ -17,7 +17,16 @@ from tests.unit.test_run_folder_keys import FILES, TABLE
 NEW_KEYS = {
     "scene.resolved.json": {"path_tolerance_mm"},
     "manifest.json": {"overrides"},
-    "executions/0001/report.json": {"deviation.edge_share", "deviation.with_edges"},
+    "executions/0001/report.json": {
+        "deviation.edge_share",
+        "deviation.with_edges",
+        "views[].determined_error_mm",
+        "views[].determined_error_after_mm",
+        "views[].determined_error_deg",
+        "views[].determined_error_after_deg",
+        "views[].undetermined_error_mm",
+        "views[].undetermined_error_deg",
+    },
 }
 """Keys that no file of a former schema has."""
 

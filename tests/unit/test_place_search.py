@@ -4,6 +4,7 @@ import numpy as np
 
 from cell.scene.file import load_scene
 from cell.study.place_search import _basins, _best_of_all_basins
+from cell.study.planned_placement import PlannedPlacement, best_place
 from cell.study.prepared_part import Bench
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
@@ -33,3 +34,18 @@ def test_a_larger_subset_contains_the_candidates_of_a_smaller_one():
     assert M.n_viewpoints == len(views) == 20
     assert bench.candidate_subset(20)[1] is M
     assert bench.candidate_subset(None)[0] is bench.candidates
+
+
+def _plan(visible: float, views: int, seconds: float) -> PlannedPlacement:
+    return PlannedPlacement(visible, views, 1, seconds)
+
+
+def test_the_best_plan_is_chosen_and_none_is_worse_than_the_default():
+    """Coverage counts to 0.1 points, then views and time; but the default is replaced only by a plan not below it."""
+    a, b, c, default = (0.0,) * 4, (1.0,) * 4, (2.0,) * 4, (9.0,) * 4
+    planned = {a: _plan(0.9804, 5, 9.0), b: _plan(0.9801, 5, 8.0), c: _plan(0.97, 2, 1.0)}
+    assert best_place(planned, default) == b
+    assert best_place(planned | {default: _plan(0.9802, 5, 10.0)}, default) == a  # b has a little less coverage
+    assert best_place(planned | {default: _plan(0.9802, 5, 8.5)}, default) == default
+    assert best_place(planned | {default: _plan(0.99, 9, 99.0)}, default) == default
+    assert best_place({c: planned[c]}, default) == c

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from planner.errors import PlannerError
 from planner.registration.localisation import fit_pairs, fit_three_two_one
-from planner.registration.observability import FreeKind
 from planner.registration.rigid import motion_from_screw, recentring_matrix, remove_free_motion, screw_from_motion, skew
 from planner.values import Floats
 
@@ -107,15 +106,20 @@ def test_the_covariance_is_the_scatter_of_fits(fit: Callable[..., Any]) -> None:
     np.testing.assert_allclose(scatter, reported, atol=0.2 * np.abs(reported).max())
 
 
-def test_pairs_on_a_line_turn_about_it() -> None:
-    """Points on a line leave the turn about that line undetermined; all other coordinates are found."""
+@pytest.mark.parametrize("width_mm", [0.0, 0.1])
+def test_pairs_on_a_line_are_refused(width_mm: float) -> None:
+    """Points on a line leave the turn about it open. A width of a thousandth of the length is noise, two are not."""
     T, axis = _random_pose(2), np.array([0.6, 0.0, 0.8])
     nominal = CENTRE + np.linspace(-0.1, 0.1, 4)[:, None] * axis
-    found = fit_pairs(nominal, nominal @ T[:3, :3].T + T[:3, 3], CENTRE, LENGTH)
-    (motion,) = found.undetermined_motions(1e-4)
-    assert motion.kind is FreeKind.ROTATION
-    assert abs(motion.direction @ axis) == pytest.approx(1.0)
-    np.testing.assert_allclose(nominal @ found.T[:3, :3].T + found.T[:3, 3], nominal @ T[:3, :3].T + T[:3, 3])
+    nominal[1, 1] += width_mm / 1000
+    measured = nominal @ T[:3, :3].T + T[:3, 3]
+    with pytest.raises(PlannerError, match="the nominal points lie on a line, and any rotation about it fits as well"):
+        fit_pairs(nominal, measured, CENTRE, LENGTH)
+    nominal[1, 1] += 0.0004
+    with pytest.raises(PlannerError, match="the measured points lie on a line"):
+        fit_pairs(nominal, measured, CENTRE, LENGTH)
+    measured = nominal @ T[:3, :3].T + T[:3, 3]
+    np.testing.assert_allclose(fit_pairs(nominal, measured, CENTRE, LENGTH).T, T, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
