@@ -23,7 +23,7 @@ from cell.runs.schema import parsed
 from cell.scene.model import Region, Scene
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import RayCaster, Scanner
-from planner.registration.cloud import ScanCloud
+from planner.registration.cloud import PointCloud
 from planner.registration.registration import register
 from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
@@ -197,7 +197,9 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
         return np.eye(4), f"points as given{datums}"
     if plan.alignment == "best-fit":
         chosen = points[np.linspace(0, len(points) - 1, min(len(points), _FIT_POINTS)).astype(np.int64)]
-        found = register([ScanCloud(chosen, np.zeros(3))], association.nearest).scans[0]
+        normals = association.nearest.normals(association.nearest.closest(chosen))
+        cloud = PointCloud(chosen, normals, np.zeros(len(chosen), dtype=np.int32))
+        found = register([cloud], association.nearest).scans[0]
         how = "robust weights" if found.is_corrected else f"not applied: {found.status.value}"
         return found.T_correction, f"best fit of all points, {how}{datums}"
     nominal = np.array([point for point, _, _ in plan.rps]) / 1000

@@ -12,12 +12,14 @@ from cell.errors import FileError, SceneError
 from cell.inspect.alignment import datum_frame, fit_reference_points, moved
 from cell.inspect.evaluation import Verdict, verdict_of
 from cell.inspect.features import InspectionPlan, resolve_features
-from cell.inspect.inspection import Inspected, inspect_points
+from cell.inspect.inspection import Inspected, align, inspect_points
 from cell.inspect.measured import Association, MeasuredPoints, measure_features
 from cell.inspect.prediction import predict_features, predicted_measurements
 from cell.inspect.qif import read_qif
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import as_csv
+from cell.metrology.inspect import located
+from cell.metrology.options import InspectOptions
 from cell.part.workpiece import Workpiece, from_trusted_mesh, load
 from cell.scanners.laser_area import LaserArea
 from cell.scene.features import FeatureTable
@@ -235,6 +237,27 @@ class TestAlignment:
         found, left = fit_reference_points(nominal, directions, np.ones(6), measured, normals)
         assert np.abs(left).max() < 1e-9
         assert np.abs(found - T).max() < 1e-6
+
+    def test_a_cloud_is_located(self, block: Workpiece) -> None:
+        """Points 9 mm and 4 deg off the part are moved onto it."""
+        points = points_on(block, 10_000)
+        T = motion_from_vector(np.array([0.006, -0.004, 0.005, 0.05, -0.03, 0.03]), block.centre)
+        options = InspectOptions(search_mm=15, search_deg=6)
+        found, words = located(single_view(transform_points(T, points)), block.reference, options)
+        assert np.abs(found.points - points).max() < 1e-4
+        assert "located" in words
+
+    def test_the_best_fit_ignores_a_larger_bore(self, block: Workpiece) -> None:
+        points = points_on(block)
+        radial = points[:, :2] - [0.03, 0.02]
+        distance = np.linalg.norm(radial, axis=1)
+        bore = np.abs(distance - 0.008) < 1e-6
+        points[bore, :2] += 0.0002 * radial[bore] / distance[bore, None]
+        plan = plan_of(block, alignment="best-fit")
+        assert values_of(inspected(block, points, plan))["bore: size"] == pytest.approx(16.4, abs=1e-3)
+        T, words = align(plan, Association(block.reference, plan), points)
+        assert np.abs(T - np.eye(4)).max() < 1e-6
+        assert "best fit" in words
 
 
 class TestValues:
