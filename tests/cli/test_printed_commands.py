@@ -146,6 +146,7 @@ def test_after_a_plan_of_another_arm(run_cell: RunCommand, part_file: Path, tmp_
     assert "cell export RUN --format csv" in (tmp_path / "run" / "view.html").read_text()
 
 
+@pytest.mark.slow
 def test_after_a_plan_on_a_table_and_of_sweeps(turned: Path, swept: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """Every command for such plans is supported; sweeps that turn are exported as a table."""
     for run in (turned, swept):
@@ -168,7 +169,7 @@ def test_after_set_ups(made_setups: Path, run_cell: RunCommand, tmp_path: Path) 
 
 def test_a_further_set_up_is_not_a_new_plan(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """For a rotated part `cell why` proposes a set-up in addition to the plan; the plan stays the first set-up."""
-    _plan(run_cell, part_file, tmp_path, "--max-views", "99")
+    _plan(run_cell, part_file, tmp_path)
     done = run_cell("why", "run", "--advise", cwd=tmp_path, code=0)
     commands = printed(done)
     further = [words for words in commands if words[:2] == ["cell", "setups"]]
@@ -183,6 +184,7 @@ def test_a_further_set_up_is_not_a_new_plan(run_cell: RunCommand, part_file: Pat
     assert first.digest == open_run(tmp_path / "run").digest
 
 
+@pytest.mark.slow
 def test_after_a_check(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """A valid scene is planned; after a problem it is checked again."""
     (tmp_path / "cell.toml").write_text("[placement]\nposition_mm = [1100, 400, 100]\n")
@@ -195,6 +197,7 @@ def test_after_a_check(run_cell: RunCommand, part_file: Path, tmp_path: Path) ->
     assert run_cell(*words[1:], cwd=tmp_path).returncode == 2  # the same problem
 
 
+@pytest.mark.slow
 def test_after_a_part_and_the_sensors(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """The proposed plans are complete; here they are made small."""
     follower = Follower(run_cell, tmp_path, SMALL)
