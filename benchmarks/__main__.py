@@ -27,6 +27,7 @@ STUDIES = {
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
+    "nist_fits": "fits of FOLDER's points beside reference pairs in the form of NIST: largest differences",
     "mutation": "seeded small faults in given modules: the share that given tests detect",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
@@ -53,6 +54,7 @@ REGISTRY = {
     "motion_recheck": "final motions of seeded scenes, checked by triangles every millisecond and by differences",
     "gtsp": "generalised travelling salesman files: excess over the best known tour and the lower bound, time",
     "cycle_time": "cycle time of plans compared with an earlier version, RoboTSP's method and the lower bound",
+    "ur_soak": "moves over ur:// with faults and killed clients, compared with the executed commands",
     "kills": "client and controller killed at random moments, then resumed: lost and repeated moves",
     "edits": "random edits of plans and differences of runs: results and refusals, checked independently",
     "locate": "placements found from one scan of a displaced part: error and reported undetermined motions",
@@ -70,6 +72,7 @@ REGISTRY = {
     "soak": "2,000 moves over each wire with 1 % of every fault, checked by the journal of the controller",
     "fuzz": "mangled frames and telegrams: crashes and false accepts of the codecs",
     "fuzz_inputs": "mangled mesh, TOML, JSON and npz files: read, refused, unexpected errors, slowest",
+    "generated_files": "mesh files of every format in many forms: equal to the closed form, refused, wrong",
     "path_watch": "arms that leave their path, and false alarms with noise, lag and jitter",
     "wire": "round trip of a state and of a command on loopback, beyond wire time: median and p99",
 }
@@ -125,7 +128,7 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 def run_study(name: str, words: list[str]) -> int:
     """Run a study with its own options; return the exit code."""
-    study = import_module("benchmarks.golden" if name == "golden" else f"benchmarks.methods.{name}").app
+    study = import_module(f"benchmarks.{name}" if name in ("golden", "nist_fits") else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
     return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from cell.robot import model as robot
 from cell.world.travel import TravelBound
-from drivers.clock import SimulatedClock
+from drivers.clock import Clock, SimulatedClock
+from drivers.contract import Driver
 from drivers.errors import DriverError
 from drivers.limits import Limits
 from drivers.profile import Reference
-from drivers.setpoints import PER_DEGREE, Floats, from_rad, to_rad
+from drivers.setpoints import PER_DEGREE, Floats, from_rad
 from drivers.sim import HOME_DEG, SimDriver
 from drivers.simulated_controller import Controller, IdealPlant
 
@@ -143,37 +144,45 @@ class NoisyPlant(IdealPlant):
         self._elapsed += seconds
 
 
-class JitteringClock(SimulatedClock):
+class JitteringClock(Clock):
     """A clock whose waits last up to `JITTER_S` longer.
 
     Args:
+        clock: the clock.
         rng: of the jitter.
     """
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        super().__init__()
-        self._rng = rng
+    def __init__(self, clock: Clock, rng: np.random.Generator) -> None:
+        self._clock, self._rng = clock, rng
+
+    def now(self) -> float:
+        """Return the seconds of the clock."""
+        return self._clock.now()
 
     def wait(self, seconds: float) -> None:
-        """Advance by `seconds` and a random time."""
-        super().wait(seconds + float(self._rng.uniform(0.0, JITTER_S)))
+        """Wait `seconds` and a random time."""
+        self._clock.wait(seconds + float(self._rng.uniform(0.0, JITTER_S)))
 
 
 def count_false_alarms(moves: int, seed: int = 0) -> tuple[int, str]:
-    """Return the number of moves that failed on an arm that follows its path, and the last message."""
+    """Return the number of moves that failed on `sim://` although the arm follows its path, and the last message."""
     rng, limits = np.random.default_rng(seed), kr16_limits()
-    clock = JitteringClock(rng)
-    home = from_rad(np.radians(HOME_DEG))
-    driver = SimDriver(Controller(NoisyPlant(to_rad(home), rng), limits, clock), clock)
-    alarms, message = 0, ""
-    with driver:
-        for _ in range(moves):
-            via = home + rng.integers(-20 * PER_DEGREE, 20 * PER_DEGREE, (int(rng.integers(1, 5)), 6))
-            try:
-                driver.move(via.astype(np.int32), float(rng.choice([0.1, 0.3, 1.0])))
-            except DriverError as error:
-                alarms, message = alarms + 1, str(error)
-                driver.stop()
+    clock = JitteringClock(SimulatedClock(), rng)
+    plant = NoisyPlant(np.radians(HOME_DEG), rng)
+    with SimDriver(Controller(plant, limits, clock), clock) as driver:
+        return drive_noisy_arm(driver, moves, rng)
+
+
+def drive_noisy_arm(driver: Driver, moves: int, rng: np.random.Generator) -> tuple[int, str]:
+    """Drive random moves; return the number of those that failed, and the last message."""
+    home, alarms, message = from_rad(np.radians(HOME_DEG)), 0, ""
+    for _ in range(moves):
+        via = home + rng.integers(-20 * PER_DEGREE, 20 * PER_DEGREE, (int(rng.integers(1, 5)), 6))
+        try:
+            driver.move(via.astype(np.int32), float(rng.choice([0.1, 0.3, 1.0])))
+        except DriverError as error:
+            alarms, message = alarms + 1, str(error)
+            driver.stop()
     return alarms, message
 
 

@@ -37,7 +37,9 @@ from cell.keywords import (
     EditKeywords,
     ExploreKeywords,
     ExportKeywords,
+    FeaturesKeywords,
     HandEyeKeywords,
+    InspectKeywords,
     LocateKeywords,
     PlaceKeywords,
     PlanKeywords,
@@ -55,9 +57,11 @@ if TYPE_CHECKING:
     from cell.explore.options import ExploreOptions
     from cell.export.export import ExportOutcome
     from cell.export.options import ExportOptions
+    from cell.inspect.features import InspectionPlan
+    from cell.inspect.results import InspectionResult
     from cell.metrology.hand_eye import HandEyeResult
     from cell.metrology.locate import LocateResult
-    from cell.metrology.options import HandEyeOptions, LocateOptions
+    from cell.metrology.options import HandEyeOptions, InspectOptions, LocateOptions
     from cell.part.workpiece import Workpiece
     from cell.plan.edit_options import Edit
     from cell.plan.setup_options import SetupOptions
@@ -83,9 +87,9 @@ Progress = Callable[[str, int, int], None]
 """Callback `(stage, done, total)`. Each stage starts with (0, 0). An exception that it raises ends the work."""
 
 __all__ = [
-    "Progress", "advise", "calibrate_hand_eye", "check", "diff", "edit", "explore", "export", "locate", "open_run",
-    "part", "place", "plan", "replay", "scan", "scan_setups", "setups", "study_placement", "study_scanner",
-    "study_standoff", "view", "why",
+    "Progress", "advise", "calibrate_hand_eye", "check", "diff", "edit", "explore", "export", "features", "inspect",
+    "locate", "open_run", "part", "place", "plan", "replay", "scan", "scan_setups", "setups", "study_placement",
+    "study_scanner", "study_standoff", "view", "why",
 ]  # fmt: skip
 
 
@@ -429,6 +433,61 @@ def locate(
     from cell.metrology.options import LocateOptions
 
     return locate(_opened(run), _options(LocateOptions, options, keywords), _reporter(progress))
+
+
+def features(
+    part: "str | Path | Scene | None" = None, *, scene: str | Path | None = None, **keywords: Unpack[FeaturesKeywords]
+) -> "InspectionPlan":
+    """Return the features and characteristics of a part: `features`, `characteristics`, `unsupported`, `notes`.
+
+    They come from the `[[feature]]` tables of the scene and from `qif="part.qif"`. Arguments as for `plan`.
+    """
+    from cell.errors import UsageError
+    from cell.inspect.inspection import plan_inspection
+    from cell.part.workpiece import load
+    from cell.plan.pipeline import read_request
+
+    checked, _ = read_request(part, scene, keywords)
+    found = plan_inspection(checked, load(checked.part.source, checked.part.units))
+    if found is None:
+        raise UsageError("the scene has no [[feature]]; add features, or give a QIF file (docs/inspection.md)")
+    return found
+
+
+def inspect(
+    source: "Execution | str | Path",
+    part: "str | Path | Scene | None" = None,
+    options: "InspectOptions | None" = None,
+    *,
+    scene: str | Path | None = None,
+    out: str | Path | None = None,
+    progress: "Progress | ProgressReporter | None" = None,
+    **keywords: Unpack[InspectKeywords],
+) -> "InspectionResult":
+    """Compare measured points, a mesh or an execution with the tolerances of a part (docs/inspection.md).
+
+    Args:
+        source: file of points or a mesh, or an execution.
+        part: as for `plan`. None with an execution takes the features of its run.
+        options: see the module; likewise the other arguments.
+        scene: scene file with features.
+        out: folder of the results.
+        progress: see the module.
+        **keywords: options of `cell inspect`: `qif="part.qif"`, `points_units="mm"`.
+
+    Returns:
+        `characteristics` with values, uncertainties and verdicts; `features`; `to_dataframe()`.
+    """
+    from cell.metrology.inspect import inspect
+    from cell.metrology.options import InspectOptions
+    from cell.plan.pipeline import read_request
+    from cell.scene.options import option_specs
+
+    own, rest = _split(keywords, InspectKeywords, option_specs(InspectOptions))
+    given = part is not None or scene is not None or rest
+    checked = read_request(part, scene, rest)[0] if given else None
+    chosen, folder = _options(InspectOptions, options, own), None if out is None else Path(out)
+    return inspect(_folder(source), checked, chosen, _reporter(progress), folder)[1].result
 
 
 def calibrate_hand_eye(

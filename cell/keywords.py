@@ -53,6 +53,8 @@ class _SceneKeywords(TypedDict, total=False):
     pose_sd: WithUnits
     alpha: float
     curve: bool
+    qif: File | None
+    u_over_t: float | None
     camera: Sequence[float] | None
     hide: Names
 
@@ -118,6 +120,8 @@ class ScanKeywords(_EveryScanKeywords, _CurrentFilesKeywords, total=False):
 
     view: int | None
     setup_error: WithUnits
+    actual: File | None
+    actual_units: Units | None
     register: bool | None
     seed: int | None
     close_holes: bool
@@ -151,6 +155,21 @@ class LocateKeywords(TypedDict, total=False):
     tolerance: float
 
 
+class FeaturesKeywords(TypedDict, total=False):
+    """Options of `cell features`."""
+
+    units: Units | None
+    qif: File | None
+
+
+class InspectKeywords(FeaturesKeywords, total=False):
+    """Options of `cell inspect`."""
+
+    points_units: Units | None
+    search: WithUnits
+    point_sd: float | None
+
+
 class HandEyeKeywords(TypedDict, total=False):
     """Options of `cell calibrate hand-eye`."""
 
@@ -165,7 +184,7 @@ class HandEyeKeywords(TypedDict, total=False):
 class ExportKeywords(_CurrentFilesKeywords, total=False):
     """Options of `cell export`."""
 
-    format: Literal["krl", "csv", "json"]
+    format: Literal["krl", "rapid", "urscript", "ls", "csv", "json"] | None
     out: File | None
     name: str | None
     speed: float | None

@@ -112,18 +112,49 @@ class StepFile:
         seam = self.straight((x + radius, y, low[2]), (x + radius, y, high[2]), *ends)
         return circles[0], circles[1], seam
 
-    def open_sheet(self, low: tuple[float, float, float], size: float) -> None:
-        """A square that bounds nothing, as datum targets are drawn."""
-        x, y, z = low
-        places = [(x, y, z), (x + size, y, z), (x + size, y + size, z), (x, y + size, z)]
+    def cylinder(self, radius: float, height: float) -> str:
+        """A solid cylinder about the z axis."""
+        below, above, seam = self._round((0, 0, 0), (0, 0, height), (0, 0, radius))
+        faces = []
+        for edge, z, side in ((below, 0.0, -1), (above, height, 1)):
+            plane = self.add(f"PLANE('',{self.axes((0, 0, z), (0, 0, side), (1, 0, 0))})")
+            faces.append(
+                self.add(f"ADVANCED_FACE('',({self.bound([(edge, side > 0)], 'FACE_OUTER_BOUND')}),{plane},.T.)")
+            )
+        bound = self.bound([(below, True), (seam, True), (above, False), (seam, False)], "FACE_OUTER_BOUND")
+        surface = self.add(f"CYLINDRICAL_SURFACE('',{self.axes((0, 0, 0), (0, 0, 1), (1, 0, 0))},{radius:.12E})")
+        faces.append(self.add(f"ADVANCED_FACE('',({bound}),{surface},.T.)"))
+        shell = self.add(f"CLOSED_SHELL('',({','.join(faces)}))")
+        self.solids.append(self.add(f"MANIFOLD_SOLID_BREP('',{shell})"))
+        return self.solids[-1]
+
+    def tessellated_block(self, high: tuple[float, float, float], link: str = "$") -> str:
+        """A block of triangles from the origin, by itself or as the copy of a solid."""
+        corners = [(x * high[0], y * high[1], z * high[2]) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+        listed = ",".join(f"({_numbers(corner)})" for corner in corners)
+        points = self.add(f"COORDINATES_LIST('',8,({listed}))")
+        quads = [(1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6)]
+        faces = [
+            self.add(f"TRIANGULATED_FACE('',{points},8,(),$,(),(({a},{b},{c}),({a},{c},{d})))") for a, b, c, d in quads
+        ]
+        return self.add(f"TESSELLATED_SOLID('',({','.join(faces)}),{link})")
+
+    def sheet_on(self, *places: tuple[float, float, float]) -> str:
+        """A polygon in a plane z = const that bounds nothing."""
         vertices = [self.vertex(*place) for place in places]
+        n = len(places)
         edges = [
-            (self.straight(places[k], places[(k + 1) % 4], vertices[k], vertices[(k + 1) % 4]), True) for k in range(4)
+            (self.straight(places[k], places[(k + 1) % n], vertices[k], vertices[(k + 1) % n]), True) for k in range(n)
         ]
         plane = self.add(f"PLANE('',{self.axes(places[0], (0, 0, 1), (1, 0, 0))})")
         face = self.add(f"ADVANCED_FACE('',({self.bound(edges, 'FACE_OUTER_BOUND')}),{plane},.T.)")
         shell = self.add(f"OPEN_SHELL('',({face}))")
-        model = self.add(f"SHELL_BASED_SURFACE_MODEL('',({shell}))")
+        return self.add(f"SHELL_BASED_SURFACE_MODEL('',({shell}))")
+
+    def open_sheet(self, low: tuple[float, float, float], size: float) -> None:
+        """A square that bounds nothing, as datum targets are drawn."""
+        x, y, z = low
+        model = self.sheet_on((x, y, z), (x + size, y, z), (x + size, y + size, z), (x, y + size, z))
         self.others.append(("MANIFOLD_SURFACE_SHAPE_REPRESENTATION", model, "sheet"))
 
     def text(self) -> str:

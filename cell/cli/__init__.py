@@ -2,6 +2,7 @@
 
     planning      plan, setups, edit, why, diff
     inspection    check, part, robot, sensors, view, replay, export
+    features      features, inspect
     execution     scan, explore, locate, calibrate hand-eye, emulate
     study         place, study ...
 
@@ -15,7 +16,7 @@ import sys
 from contextlib import suppress
 
 from cell import signals
-from cell.cli import execution, inspection, planning, study
+from cell.cli import execution, features, inspection, planning, study
 from cell.cli.failures import report_errors, require_text, use_plain_characters
 from cell.cli.options import add_moved, app
 
@@ -23,7 +24,7 @@ app.add_typer(execution.calibrate_app, name="calibrate")
 app.add_typer(study.app, name="study")
 add_moved(app, "cover", "cell cover", "python -m benchmarks cover solve FILE")
 
-__all__ = ["app", "execution", "inspection", "main", "planning", "study"]
+__all__ = ["app", "execution", "features", "inspection", "main", "planning", "study"]
 
 
 def main(argv: list[str] | None = None) -> int:

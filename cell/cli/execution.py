@@ -276,7 +276,7 @@ def _group() -> None:
 def hand_eye(
     *,
     files: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, XYZ, TXT or PCD).")
+        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, PCD or text).")
     ],
     options: HandEyeOptions,
     as_json: AsJson = False,
@@ -302,12 +302,13 @@ def hand_eye(
     "cell emulate serial --link /tmp/kr16 --state arm.json",
     "cell emulate modbus --port 5020 --time-scale 10",
     "cell emulate modbus --run sim_runs/trial --plant mujoco",
+    "cell emulate ur --run sim_runs/ur5e",
     "cell emulate modbus-rtu --faults drop=0.01,delay=0.02:0.3,estop@12.5 --seed 4 --log moves.jsonl",
     note="The first line on stdout is the driver URL: cell scan sim_runs/trial --driver URL. Ctrl-C ends it.",
 )
 def emulate(
     *,
-    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu", help="Protocol of the controller.")],
+    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu|ur", help="Protocol of the controller.")],
     options: EmulateOptions,
 ) -> None:
     """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
@@ -315,10 +316,10 @@ def emulate(
 
     if protocol not in emulator.PROTOCOLS:
         raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")
-    if options.link is not None and protocol == "modbus":
-        raise UsageError("--link is for pseudo-terminals; cell emulate modbus has --port")
-    if options.port and protocol != "modbus":
-        raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
+    if options.link is not None and protocol in ("modbus", "ur"):
+        raise UsageError(f"--link is for pseudo-terminals; cell emulate {protocol} has --port")
+    if options.port and protocol not in ("modbus", "ur"):
+        raise UsageError(f"--port is for cell emulate modbus and ur; cell emulate {protocol} has --link")
     arm = emulator.load_arm(options.run, options.plant)
     emulator.emulate(protocol, options, arm, lambda url: _announce(url, options.run, options.time_scale))
 

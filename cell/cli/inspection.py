@@ -275,16 +275,17 @@ def export(
     options: ExportOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
+    """Write the motion of a plan as a robot program (KRL, RAPID, URScript, LS) or as a table (CSV, JSON)."""
     from cell import api
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
     has_setups = (run / "setups.json").is_file()
     outcome = api.export(run, options, progress=terminal)
-    if options.kind == "krl":
+    if outcome.format not in ("csv", "json"):
         terminal.note(
-            "before this program runs on a robot, check tool, base, signals and cell (docs/export.md), and run it in T1"
+            "before this program runs on a robot, check axes, tool, signals and cell (docs/export.md), and run it at "
+            "reduced speed"
         )
     if as_json:
         print_json(outcome.as_json())

@@ -1,16 +1,15 @@
 """`cell export`: write the motion of a finished run as a controller program or as a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import Field
 
 from cell.errors import FileError
-from cell.export import krl, tables
-from cell.export.krl import KrlOptions
-from cell.export.krl_names import MAX_NAME_LENGTH, check_name
+from cell.export import fanuc, krl, rapid, tables, urscript
+from cell.export.names import MAX_NAME_LENGTH, check_name
 from cell.export.options import ExportOptions
-from cell.export.program import Program, load_program, program_name
+from cell.export.program import Program, ProgramSettings, load_program, program_name
 from cell.files import atomic_write
 from cell.runs.schema import JsonTable
 from cell.runs.setups import SetupsRun
@@ -44,15 +43,15 @@ def export(run_folder: Path, options: ExportOptions, reporter: ProgressReporter 
         reporter: reports which files of the plan are missing.
 
     Raises:
-        UsageError: if KRL does not accept the name or cannot express the motion.
+        UsageError: if the language does not accept the name or cannot express the motion.
         FileError: if the run has no finished motion, a file is damaged, or the output cannot be written.
     """
     program = load_program(run_folder, options.name, options, reporter)
-    return _write_programs(run_folder, [program], program.info.name, options, {})
+    return _write_programs(run_folder, [program], program.info.name, options)
 
 
 def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReporter | None = None) -> ExportOutcome:
-    """Write the programs of all set-ups; for KRL also a main program, which halts before each of them.
+    """Write the programs of all set-ups and a main program, which halts before each of them.
 
     Args:
         folder: of `cell setups`.
@@ -64,15 +63,14 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
     """
     planned = SetupsRun.opened(folder)
     digest = planned.file.selected[0].digest
-    name = options.name or program_name(folder.resolve().name, digest)
+    name = options.name or program_name(folder.resolve().name, digest, options.kind or "krl")
     if len(name) > MAX_NAME_LENGTH - 3:  # the names of the set-ups' programs end with `_` and a number
         name = f"scan_{digest[:8]}"
-    check_name(name)
     programs = [
         load_program(run, f"{name}_{number}", options, reporter) for number, run in enumerate(planned.folders, start=1)
     ]
-    main = {f"{name}.src": krl.main_source(name, programs)} if options.kind == "krl" else {}
-    return _write_programs(folder, programs, name, options, main)
+    check_name(name, programs[0].info.language)
+    return _write_programs(folder, programs, name, options)
 
 
 def percent(requested: float | None, default: int, planned: float) -> int:
@@ -82,38 +80,43 @@ def percent(requested: float | None, default: int, planned: float) -> int:
     return min(default, max(1, int(planned * 100 + 1e-9)))
 
 
-def _write_programs(
-    folder: Path, programs: Sequence[Program], name: str, options: ExportOptions, main: Mapping[str, bytes]
-) -> ExportOutcome:
-    """Write programs and the main program to `options.out`, or below the run folder."""
-    krl_options = [
-        KrlOptions(
+def _contents(name: str, programs: Sequence[Program], settings: Sequence[ProgramSettings]) -> dict[str, bytes]:
+    """Return the files of one program, or of one per set-up."""
+    match programs[0].info.language:
+        case "krl":
+            return krl.files(name, programs, settings)
+        case "rapid":
+            return rapid.files(name, programs, settings)
+        case "urscript":
+            return urscript.files(name, programs, settings)
+        case "ls":
+            return fanuc.files(name, programs, settings)
+        case "csv":
+            return {f"{program.info.name}.csv": tables.csv(program) for program in programs}
+        case "json":
+            return {f"{program.info.name}.json": tables.as_json(program) for program in programs}
+
+
+def _write_programs(folder: Path, programs: Sequence[Program], name: str, options: ExportOptions) -> ExportOutcome:
+    """Write programs, and for several a main program, to `options.out` or below the run folder."""
+    settings = [
+        ProgramSettings(
             percent(options.speed, SPEED_PERCENT, program.info.speed),
             percent(options.acceleration, ACCELERATION_PERCENT, program.info.acceleration),
             options,
         )
         for program in programs
     ]
-    contents: dict[str, bytes] = {}
-    for program, own in zip(programs, krl_options, strict=True):
-        stem = program.info.name
-        match options.kind:
-            case "krl":
-                contents |= {f"{stem}.src": krl.source(program, own), f"{stem}.dat": krl.data(program, own)}
-            case "csv":
-                contents[f"{stem}.csv"] = tables.csv(program)
-            case "json":
-                contents[f"{stem}.json"] = tables.as_json(program)
-    contents |= main
+    contents = _contents(name, programs, settings)
     files = _write(folder / FOLDER if options.out is None else options.out, contents, replace=options.out is None)
     return ExportOutcome(
-        format=options.kind,
+        format=programs[0].info.language,
         name=name,
         files=tuple(str(path) for path in files),
         via_points=sum(len(program.q) for program in programs),
         views=sum(program.n_views for program in programs),
-        speed_percent=min(each.speed_percent for each in krl_options),
-        acceleration_percent=min(each.acceleration_percent for each in krl_options),
+        speed_percent=min(each.speed_percent for each in settings),
+        acceleration_percent=min(each.acceleration_percent for each in settings),
     )
 
 

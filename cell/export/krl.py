@@ -24,83 +24,52 @@ digits). Lines end with CR LF; characters are ASCII.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cell.errors import UsageError
 from cell.export.krl_routines import BEGIN, routines
-from cell.export.options import ExportOptions
-from cell.export.program import Kind, Program, Sweep, angles_deg
-from planner.geometry.rigid import rotation_vectors
+from cell.export.program import AT_STOP_DEG, Program, ProgramSettings, Sweep, angles_deg
+from cell.export.text import encoded
 from planner.kinematics.frames import kuka_abc_from_pose
-from planner.kinematics.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
+from planner.kinematics.setpoints import from_steps, to_steps
 from planner.ports import ARM_AXES, axis_name
 from planner.values import Floats
 
 _MAX_EXTERNAL_AXES = 6
-_AT_STOP_DEG = 0.1  # the program halts if an axis is farther from the last stop
-_MAX_TURN_DEG = 0.001  # a line that turns by less is straight: set-points of 1e-4 deg turn it by up to 0.0006
 _MIN_LINE_SPEED = 0.001  # of a line without length: KRL accepts no speed 0 [m/s]
-_MAX_LINE_LENGTH = 400  # characters; KRL's own limit is 471 on a KR C2 (from memory)
 
 
-@dataclass(frozen=True, slots=True)
-class KrlOptions:
-    """Settings of the controller.
+def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSettings]) -> dict[str, bytes]:
+    """Return `.src` and `.dat` of each set-up; for several also the `<name>.src` that calls them.
 
-    Attributes:
-        speed_percent: of the axis speeds, 1 to 100.
-        acceleration_percent: of the axis accelerations, 1 to 100.
-        signals: outputs, inputs and times between controller and scanner.
-    """
-
-    speed_percent: int
-    acceleration_percent: int
-    signals: ExportOptions
-
-
-def source(program: Program, options: KrlOptions) -> bytes:
-    """Return the content of `<name>.src`.
+    It halts before each. During the halt, $BASE is the part's frame in the next set-up: the pendant shows where the
+    part has to lie.
 
     Raises:
-        UsageError: if the arm's axes are not KUKA's, or a sweep turns.
+        UsageError: if the arm's axes are not KUKA's, a sweep turns or the controller has not the signals.
     """
+    contents: dict[str, bytes] = {}
+    for program, own in zip(programs, settings, strict=True):
+        contents[f"{program.info.name}.src"] = source(program, own)
+        contents[f"{program.info.name}.dat"] = data(program, own)
+    if len(programs) > 1:
+        contents[f"{name}.src"] = encoded(_main(name, programs))
+    return contents
+
+
+def source(program: Program, settings: ProgramSettings) -> bytes:
+    """Return the content of `<name>.src`."""
     if program.status is None:
-        raise UsageError("KRL drives only arms with KUKA's axes, and this arm has others; choose --format csv or json")
-    for sweep in program.sweeps:
-        T = program.T_base_tcp[[sweep.begin, sweep.end], :3, :3]
-        turn = float(np.degrees(np.linalg.norm(rotation_vectors(T[1:] @ T[0].T))))
-        if turn > _MAX_TURN_DEG:
-            raise UsageError(
-                f"the sweep of view {_view_number(program, sweep)} turns by {turn:.3f} deg, and a LIN of KRL may turn "
-                "differently from the planned and checked motion; choose --format csv or json, or plan with sweep_mm "
-                "in place of sweep_deg"
-            )
-    return _encoded(_source(program, options))
+        raise UsageError("KRL drives only arms with KUKA's axes, and this arm has others; choose another --format")
+    settings.signals.require_signals("KRL", 1, 4096)
+    program.require_straight_sweeps("a LIN of KRL")
+    return encoded(_source(program, settings))
 
 
-def main_source(name: str, programs: Sequence[Program]) -> bytes:
-    """Return the content of the `<name>.src` that calls the programs of several set-ups and halts before each.
-
-    During the halt, $BASE is the part's frame in the next set-up: the pendant shows where the part has to lie.
-    """
-    return _encoded(_main(name, programs))
-
-
-def data(program: Program, options: KrlOptions) -> bytes:
+def data(program: Program, settings: ProgramSettings) -> bytes:
     """Return the content of `<name>.dat`."""
-    return _encoded(_data(program, options))
-
-
-def _encoded(lines: Iterator[str]) -> bytes:
-    """Return the lines as a file. Names in comments may hold line breaks, which would begin a statement."""
-    return "".join(f"{_single_line(line)}\r\n" for line in lines).encode("ascii", errors="replace")
-
-
-def _single_line(line: str) -> str:
-    shown = "".join(character if character.isprintable() else "?" for character in line)
-    return shown if len(shown) <= _MAX_LINE_LENGTH else shown[: _MAX_LINE_LENGTH - 3] + "..."  # only comments
+    return encoded(_data(program, settings))
 
 
 def _main(name: str, programs: Sequence[Program]) -> Iterator[str]:
@@ -115,12 +84,12 @@ def _main(name: str, programs: Sequence[Program]) -> Iterator[str]:
     yield from ("", "END")
 
 
-def _source(program: Program, options: KrlOptions) -> Iterator[str]:
+def _source(program: Program, settings: ProgramSettings) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {program.info.name}( )")
     yield from _head(program)
     yield from BEGIN
-    yield f"BAS(#VEL_PTP,{options.speed_percent})"
-    yield f"BAS(#ACC_PTP,{options.acceleration_percent})"
+    yield f"BAS(#VEL_PTP,{settings.speed_percent})"
+    yield f"BAS(#ACC_PTP,{settings.acceleration_percent})"
     yield "; base: the robot's foot, equal to the world if $ROBROOT is zero; motions between views are in axis angles,"
     yield "; which do not depend on the base"
     yield "$BASE={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}"
@@ -138,28 +107,21 @@ def _source(program: Program, options: KrlOptions) -> Iterator[str]:
     yield f"SC_STOP={e6axis(program.q[0])}"
     yield "SC_STAND( )"
     yield f"PTP {e6axis(program.q[0])} ; home: block coincidence"
-    segment = -1
-    begins = {sweep.begin: sweep for sweep in program.sweeps}
     # Lines slow down with the axes, but are never faster than planned.
-    speed_factor = min(1.0, options.speed_percent / 100 / program.info.speed)
-    for row in range(1, len(program.q)):
-        if program.segment[row] != segment:
-            segment = int(program.segment[row])
-            ahead = program.view[row:][program.segment[row:] == segment]
-            goal = f"to view {ahead.max()}" if ahead.max(initial=0) else "home"
-            yield from ("", f"; segment {segment + 1}: {goal}")
-        if program.kinds[row] is Kind.LIN:
-            continue
-        yield f"PTP {e6axis(program.q[row])}"
-        if row not in begins and not program.view[row]:
-            continue
-        # SC_STOP is set after the motion, which names its own goal: if a person selects another line of the program,
-        # no motion goes to an old stop.
-        yield f"SC_STOP={e6axis(program.q[row])}"
-        if row in begins:
-            yield from _sweep(program, begins[row], speed_factor)
-        else:
-            yield f"SC_SCAN({program.view[row]}) ; candidate {program.candidate[row]}"
+    speed_factor = min(1.0, settings.speed_percent / 100 / program.info.speed)
+    for step in program.steps():
+        if step.title:
+            yield from ("", f"; {step.title}")
+        goal = e6axis(program.q[step.row])
+        yield f"PTP {goal}"
+        if step.view or step.sweep is not None:
+            # SC_STOP is set after the motion, which names its own goal: if a person selects another line of the
+            # program, no motion goes to an old stop.
+            yield f"SC_STOP={goal}"
+        if step.sweep is not None:
+            yield from _sweep(program, step.sweep, speed_factor)
+        elif step.view:
+            yield f"SC_SCAN({step.view}) ; candidate {program.candidate[step.row]}"
     yield from ("", "END", "")
     yield from routines([axis_name(axis) for axis in range(program.q.shape[1])])
 
@@ -179,24 +141,20 @@ def _sweep(program: Program, sweep: Sweep, speed_factor: float) -> Iterator[str]
     yield f"$ACC.CP={acceleration if has_length else _MIN_LINE_SPEED:.7f}"
     yield "SC_SCANNED=FALSE"
     yield "WHILE NOT SC_SCANNED"
-    yield f"  SC_BEGIN({_view_number(program, sweep)})"
-    yield "  $OUT[SC_GATE]=TRUE"
-    yield f"  LIN {e6pos(program.T_base_tcp[sweep.end])}"
-    yield "  $OUT[SC_GATE]=FALSE"
-    yield f"  SC_STOP={e6axis(program.q[sweep.end])}"
-    yield "  SC_END( )"
-    yield "  IF NOT SC_SCANNED THEN"
-    yield f"    LIN {e6pos(program.T_base_tcp[sweep.begin])}"
-    yield f"    SC_STOP={e6axis(program.q[sweep.begin])}"
-    yield "  ENDIF"
+    yield f"   SC_BEGIN({program.sweep_view(sweep)})"
+    yield "   $OUT[SC_GATE]=TRUE"
+    yield f"   LIN {e6pos(program.T_base_tcp[sweep.end])}"
+    yield "   $OUT[SC_GATE]=FALSE"
+    yield f"   SC_STOP={e6axis(program.q[sweep.end])}"
+    yield "   SC_END( )"
+    yield "   IF NOT SC_SCANNED THEN"
+    yield f"      LIN {e6pos(program.T_base_tcp[sweep.begin])}"
+    yield f"      SC_STOP={e6axis(program.q[sweep.begin])}"
+    yield "   ENDIF"
     yield "ENDWHILE"
 
 
-def _view_number(program: Program, sweep: Sweep) -> int:
-    return int(program.view[sweep.begin : sweep.end + 1].max())
-
-
-def _data(program: Program, options: KrlOptions) -> Iterator[str]:
+def _data(program: Program, settings: ProgramSettings) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT {program.info.name} PUBLIC")
     yield "; KUKA's own routine, declared where KUKA's templates declare it; a KR C2 may not find it otherwise"
     yield "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
@@ -204,18 +162,18 @@ def _data(program: Program, options: KrlOptions) -> Iterator[str]:
     yield "; calibrated tool differs, plan again with it"
     yield f"DECL FRAME SC_TOOL={frame(program.T_flange_tcp)}"
     yield "; numbers: $OUT that starts a scan, $IN that reports its end, timer for the time-out"
-    yield f"DECL INT SC_TRIGGER={options.signals.trigger_output}"
+    yield f"DECL INT SC_TRIGGER={settings.signals.trigger_output}"
     if program.sweeps:
         yield "; number of $OUT that is TRUE during a sweep"
-        yield f"DECL INT SC_GATE={options.signals.gate_output}"
-    yield f"DECL INT SC_DONE={options.signals.done_input}"
-    yield f"DECL INT SC_TIMER={options.signals.timer}"
+        yield f"DECL INT SC_GATE={settings.signals.gate_output}"
+    yield f"DECL INT SC_DONE={settings.signals.done_input}"
+    yield f"DECL INT SC_TIMER={settings.signals.timer}"
     yield "; settling time before a scan [s], time-out of the scanner [ms]"
-    yield f"DECL REAL SC_SETTLE={options.signals.settle:.3f}"
-    yield f"DECL INT SC_TIMEOUT={round(options.signals.timeout * 1000)}"
+    yield f"DECL REAL SC_SETTLE={settings.signals.settle:.3f}"
+    yield f"DECL INT SC_TIMEOUT={round(settings.signals.timeout * 1000)}"
     yield "; end of the last motion, and the largest deviation of each axis at which the program continues [deg]"
     yield f"DECL E6AXIS SC_STOP={e6axis(program.q[0])}"
-    yield f"DECL REAL SC_NEAR={_AT_STOP_DEG:.3f}"
+    yield f"DECL REAL SC_NEAR={AT_STOP_DEG:.3f}"
     yield "; current view, to be read after a time-out; 0: none yet"
     yield "DECL INT SC_VIEW=0"
     yield "; TRUE if its scan is done"
@@ -239,11 +197,7 @@ def _head(program: Program) -> Iterator[str]:
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"
     if np.isfinite(info.clearance):
         yield f"; smallest distance along the planned motion: {info.clearance * 1000:.1f} mm ({info.between})"
-    low, high = to_steps(program.q).min(axis=0), to_steps(program.q).max(axis=0)
-    bounds = np.degrees(np.stack([program.limits.lower, program.limits.upper]))
-    for axis in range(program.q.shape[1]):
-        used = f"{low[axis] / STEPS_PER_DEGREE:.4f} to {high[axis] / STEPS_PER_DEGREE:.4f} deg"
-        yield f"; {axis_name(axis)} from {used}; planned within {bounds[0, axis]:.1f} to {bounds[1, axis]:.1f}"
+    yield from (f"; {sentence}" for sentence in program.axis_ranges())
 
 
 def e6axis(q: Floats) -> str:

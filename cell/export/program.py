@@ -4,11 +4,14 @@ Read from the run's files. The joint angles are the planned ones (multiples of 1
 them by forward kinematics. Base frame: the robot's foot, KUKA's $ROBROOT. The tool centre point (TCP) is the scanner
 frame. Metres, radians, seconds.
 
-E6POS needs status S and turn T beside a pose to select one configuration. The bits of S mean: wrist centre behind A1,
-A3 above the stretched elbow (-2.990345 deg), A5 < 0. Bit i - 1 of T means A_i < 0. Both exist only for an arm with
-KUKA's axes; the program of another arm has neither and is not written in KRL.
+E6POS of KRL needs status S and turn T beside a pose to select one configuration. The bits of S mean: wrist centre
+behind A1, A3 above the stretched elbow (-2.990345 deg), A5 < 0. Bit i - 1 of T means A_i < 0. Both exist only for an
+arm with KUKA's axes; the program of another arm has neither and is not written in KRL.
 """
 
+import math
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -18,18 +21,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import UsageError
-from cell.export.krl_names import check_name
-from cell.robot.arm import kinematics_of
+from cell.export.names import check_name
+from cell.export.options import ExportOptions, Language
+from cell.robot.arm import chain_of, kinematics_of
 from cell.runs import current_scene
-from cell.runs.current_files import CurrentFiles
 from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
 from planner.geometry.rigid import rotation_vectors
 from planner.kinematics.closed_form import KukaKinematics
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
-from planner.ports import ARM_AXES, JointLimits, Kinematics
+from planner.ports import ARM_AXES, JointLimits, Kinematics, axis_name
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
+
+_MAKERS: tuple[tuple[str, Language | None], ...] = (
+    (r"kuka|(?<![a-z])kr_?\d", "krl"),
+    (r"abb|(?<![a-z])irb", "rapid"),
+    (r"universal|(?<![a-z])ur_?(3|5|7|8|10|12|15|16|18|20|30)", "urscript"),
+    (r"fanuc|(?<![a-z])(lr_?mate|crx|[mr]_?\d+i)", "ls"),
+    (r"yaskawa|motoman|(?<![a-z])(gp|hc|mh|ar)_?\d", None),
+)
+"""Patterns of names of robot files, and the language of the maker; None: INFORM."""
+
+AT_STOP_DEG = 0.1
+"""Largest deviation of each axis from the end of the last motion at which a program continues."""
+
+_MAX_TURN_DEG = 0.001  # a line that turns by less is straight: set-points of 1e-4 deg turn it by up to 0.0006
 
 
 class Kind(StrEnum):
@@ -46,23 +64,42 @@ class ProgramInfo:
 
     Attributes:
         name: of the program.
+        language: of the program, or format of the table.
         part: name of the part.
         run: name of the run folder.
         digest: of the plan.
         speed: fraction of the axis speeds with which the plan was timed.
         acceleration: fraction of the axis accelerations.
+        robot: name of the robot's file, or "kr16".
         clearance: smallest distance along the motion [m]; NaN if not measured.
         between: the pair at that distance.
     """
 
     name: str
+    language: Language
     part: str
     run: str
     digest: str
     speed: float
     acceleration: float
+    robot: str
     clearance: float
     between: str
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramSettings:
+    """Settings of the controller.
+
+    Attributes:
+        speed_percent: of the axis speeds, 1 to 100.
+        acceleration_percent: of the axis accelerations, 1 to 100.
+        signals: outputs, inputs and times between controller and scanner.
+    """
+
+    speed_percent: int
+    acceleration_percent: int
+    signals: ExportOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +119,25 @@ class Sweep:
     speed: float
     rate: float
     acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A joint motion to a via point, with the scan or the sweep that follows there.
+
+    Attributes:
+        row: via point.
+        title: sentence on the segment that begins with this motion; "" inside a segment.
+        duration: planned time of the motion [s].
+        view: number of the view that is scanned at rest at the via point; 0 for none.
+        sweep: line that begins at the via point.
+    """
+
+    row: int
+    title: str
+    duration: float
+    view: int
+    sweep: Sweep | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +162,7 @@ class Program(Value):
         limits: joint limits with which the plan was timed.
         sweeps: lines in driving order; their via points have the kind `lin`, except the first.
         T_base_table: frame about whose z axis E1 turns the part, right-handed [m]; None without a rotary table.
+        cos_axes_2_3: cosine of the angle between the directions of axes 2 and 3.
     """
 
     info: ProgramInfo
@@ -125,53 +182,132 @@ class Program(Value):
     limits: JointLimits
     sweeps: tuple[Sweep, ...]
     T_base_table: Annotated[Floats, "4 4"] | None = None
+    cos_axes_2_3: float = 1.0
 
     @property
     def n_views(self) -> int:
         """Number of views."""
         return int(self.view.max())
 
+    def steps(self) -> Iterator[Step]:
+        """Yield the joint motions in driving order, without the first via point, which is home."""
+        sweeps, segment, title = {sweep.begin: sweep for sweep in self.sweeps}, -1, ""
+        for row in range(1, len(self.q)):
+            if self.segment[row] != segment:
+                segment = int(self.segment[row])
+                ahead = self.view[row:][self.segment[row:] == segment]
+                title = f"segment {segment + 1}: {f'to view {ahead.max()}' if ahead.max(initial=0) else 'home'}"
+            if self.kinds[row] is Kind.PTP:
+                view = 0 if row in sweeps else int(self.view[row])
+                yield Step(row, title, float(self.t[row] - self.t[row - 1]), view, sweeps.get(row))
+                title = ""
+
+    def sweep_view(self, sweep: Sweep) -> int:
+        """Return the number of the view of a sweep."""
+        return int(self.view[sweep.begin : sweep.end + 1].max())
+
+    def header(self) -> Iterator[str]:
+        """Yield sentences on the plan and the ranges of the axes, for the comments of a program."""
+        info = self.info
+        yield f"{self.n_views} views of {info.part}, planned by scan-cell; run folder {info.run}"
+        yield f"digest of the plan {info.digest}"
+        yield "before a start: the same robot, tool, base, part and fixtures as in the plan; first at reduced speed"
+        position, abc = kuka_abc_from_pose(self.T_base_object)
+        x, y, z, a, b, c = (float(value) + 0.0 for value in (*np.round(position * 1000, 3), *np.degrees(abc).round(4)))
+        yield f"part: its frame in the robot's base is X {x:.3f} Y {y:.3f} Z {z:.3f} mm,"
+        yield f"Rz({a:.4f} deg) Ry({b:.4f} deg) Rx({c:.4f} deg)"
+        if np.isfinite(info.clearance):
+            yield f"smallest distance along the planned motion: {info.clearance * 1000:.1f} mm ({info.between})"
+        yield from self.axis_ranges()
+
+    def axis_ranges(self) -> Iterator[str]:
+        """Yield one sentence per axis: its range in this program, and the range of the plan's limits."""
+        low, high = to_steps(self.q).min(axis=0), to_steps(self.q).max(axis=0)
+        bounds = np.degrees(np.stack([self.limits.lower, self.limits.upper]))
+        for axis in range(self.q.shape[1]):
+            used = f"{low[axis] / STEPS_PER_DEGREE:.4f} to {high[axis] / STEPS_PER_DEGREE:.4f} deg"
+            yield f"{axis_name(axis)} from {used}; planned within {bounds[0, axis]:.1f} to {bounds[1, axis]:.1f}"
+
+    def time_factor(self, settings: ProgramSettings) -> float:
+        """Return the factor, 1 at least, by which motions take longer than planned with the shares of the settings."""
+        speed = self.info.speed * 100 / settings.speed_percent
+        acceleration = self.info.acceleration * 100 / settings.acceleration_percent
+        return max(1.0, speed, math.sqrt(acceleration))
+
+    def require_straight_sweeps(self, statement: str) -> None:
+        """Raise UsageError if a sweep turns.
+
+        Args:
+            statement: language and motion statement of a line, as in "a LIN of KRL".
+        """
+        for sweep in self.sweeps:
+            T = self.T_base_tcp[[sweep.begin, sweep.end], :3, :3]
+            turn = float(np.degrees(np.linalg.norm(rotation_vectors(T[1:] @ T[0].T))))
+            if turn > _MAX_TURN_DEG:
+                raise UsageError(
+                    f"the sweep of view {self.sweep_view(sweep)} turns by {turn:.3f} deg, and {statement} may turn "
+                    "differently from the planned and checked motion; choose --format csv or json, or plan with "
+                    "sweep_mm in place of sweep_deg"
+                )
+
 
 def load_program(
-    run_folder: Path, name: str | None, current: CurrentFiles, reporter: ProgressReporter | None
+    run_folder: Path, name: str | None, options: ExportOptions, reporter: ProgressReporter | None
 ) -> Program:
     """Read the program of a finished run.
 
     Args:
         run_folder: of a finished plan.
         name: of the program; None uses `program_name`.
-        current: files that describe the cell today.
+        options: language, and files that describe the cell today.
         reporter: reports which of them are missing, or accepted although they differ.
 
     Raises:
-        UsageError: if KRL does not accept the name.
+        UsageError: if the language does not accept the name, or the robot's maker is not known.
         SceneError: if the cell has changed since the plan.
         FileError: if the run is not finished, or the verification of its plan fails (`cell.runs.verification`).
     """
-    if name is not None:
-        check_name(name)
     verified = verify_plan(run_folder)
-    current_scene.require_current_scene(verified, current, reporter, wire=False)
+    current_scene.require_current_scene(verified, options, reporter, wire=False)
     scene = verified.scene
+    robot = "kr16" if scene.robot is None else scene.robot.name
+    language = options.kind or language_of(robot)
+    if name is None:
+        name = program_name(run_folder.resolve().name, verified.digest, language)
+    check_name(name, language)
     clearance, between = verified.run.min_clearance
-    folder = run_folder.resolve().name
     info = ProgramInfo(
-        name=name if name is not None else program_name(folder, verified.digest),
+        name=name,
+        language=language,
         part=scene.part.name,
-        run=folder,
+        run=run_folder.resolve().name,
         digest=verified.digest,
         speed=scene.speed_scaling,
         acceleration=scene.acceleration_scaling,
+        robot=robot,
         clearance=clearance,
         between=between,
     )
     kinematics = kinematics_of(verified.world.model)
-    program = program_of_motion(verified.motion, kinematics, scene.T_flange_scanner, scene.T_base_object, info)
+    directions = chain_of(verified.world.model).directions
+    program = program_of_motion(
+        verified.motion,
+        kinematics,
+        scene.T_flange_scanner,
+        scene.T_base_object,
+        info,
+        float(directions[1] @ directions[2]),
+    )
     return program if scene.table is None else replace(program, T_base_table=scene.table.T_base_table)
 
 
 def program_of_motion(
-    motion: Motion, kinematics: Kinematics, T_flange_tcp: Floats, T_base_object: Floats, info: ProgramInfo
+    motion: Motion,
+    kinematics: Kinematics,
+    T_flange_tcp: Floats,
+    T_base_object: Floats,
+    info: ProgramInfo,
+    cos_axes_2_3: float = 1.0,
 ) -> Program:
     """Return the program of a motion.
 
@@ -181,6 +317,7 @@ def program_of_motion(
         T_flange_tcp: (4, 4) the tool [m].
         T_base_object: (4, 4) placement of the part, a rotary table at 0 [m].
         info: description of the program.
+        cos_axes_2_3: cosine of the angle between the directions of axes 2 and 3.
     """
     T_base_flange = kinematics.forward(motion.via_q[:, :ARM_AXES])
     T_base_tcp = T_base_flange @ T_flange_tcp
@@ -206,6 +343,7 @@ def program_of_motion(
         turn=turn,
         limits=motion.limits,
         sweeps=tuple(_sweep(motion, number, T_base_tcp) for number in range(int(motion.line.max()) + 1)),
+        cos_axes_2_3=cos_axes_2_3,
     )
 
 
@@ -225,13 +363,33 @@ def angles_deg(q: Floats) -> list[float]:
     return [int(step) / STEPS_PER_DEGREE for step in to_steps(q)]
 
 
-def program_name(folder: str, digest: str) -> str:
-    """Return the folder's name if it is valid in KRL, else a name made of a digest."""
+def program_name(folder: str, digest: str, language: Language) -> str:
+    """Return the folder's name if it is valid in the language, else a name made of a digest."""
     try:
-        check_name(folder)
+        check_name(folder, language)
     except UsageError:
         return f"scan_{digest[:8]}"
     return folder
+
+
+def language_of(robot: str) -> Language:
+    """Return the language of the maker of a robot.
+
+    Args:
+        robot: name of the robot's file, or "kr16".
+
+    Raises:
+        UsageError: if the name shows no maker, or one without a program.
+    """
+    for pattern, language in _MAKERS:
+        if re.search(pattern, Path(robot).stem.lower()):
+            if language is None:
+                raise UsageError(
+                    f"a program for {robot} in INFORM has pulses in place of angles, and the robot's file has no "
+                    "pulses per degree; choose --format csv or json"
+                )
+            return language
+    raise UsageError(f"the name of the robot's file, {robot}, shows no maker; choose --format, for instance json")
 
 
 def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:

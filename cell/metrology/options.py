@@ -4,12 +4,19 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cell.scene.fields import Positive, Table, Units
+from cell.scene.fields import NotNegative, Positive, Table, Units
 from cell.scene.options import Option
 
 _MEASURED, _FIT = "Measured points (one of them)", "Fit"
 _SEARCH = Option(
     "Largest deviation of the part from its planned placement (at most 45 deg), for the best fit.",
+    _FIT,
+    metavar="LENGTHmm,ANGLEdeg",
+    form="a length and an angle with their units",
+    examples=("30mm,8deg",),
+)
+_INSPECT_SEARCH = Option(
+    "Largest deviation of the points from the frame of the part. Default: they are in it.",
     _FIT,
     metavar="LENGTHmm,ANGLEdeg",
     form="a length and an angle with their units",
@@ -92,6 +99,20 @@ class LocateOptions(Table):
             if not measured and getattr(self, name) is not None:
                 raise ValueError(f".{name} is given for an execution, which records its own; omit it")
         return self
+
+
+class InspectOptions(Table):
+    """Points of `cell inspect` from a file."""
+
+    points_units: Annotated[
+        Units | None, Option("Unit of the file of points or of the mesh. Never guessed.", _MEASURED)
+    ] = None
+    search_mm: Annotated[NotNegative, _INSPECT_SEARCH] = 0.0
+    search_deg: Annotated[float, Field(ge=0, le=45), _INSPECT_SEARCH] = 0.0
+    point_sd_mm: Annotated[
+        Positive | None,
+        Option("Standard deviation of a point along the normal. Default: from the scatter of the points.", _FIT),
+    ] = None
 
 
 class HandEyeOptions(Table):

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from cell import files
 from cell.errors import FileError
 from cell.metrology import point_tables
-from cell.part.ply_elements import Element, PlyError, read_elements
+from cell.part.ply_elements import PlyError, read_elements
 from cell.runs import ply
 from cell.text import decode, lines_of
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud
 from planner.values import Floats
 
-SUFFIXES = (".ply", ".xyz", ".txt", ".pcd")
+_TEXTS = (".xyz", ".txt", ".csv", ".asc", ".pts")
+SUFFIXES = (".ply", ".pcd", *_TEXTS)
 
 
 def read(path: Path) -> Floats:
@@ -39,11 +40,10 @@ def read(path: Path) -> Floats:
     readers: dict[str, Callable[[bytes], Floats]] = {
         ".ply": _ply,
         ".pcd": _pcd,
-        ".xyz": point_tables.read_points,
-        ".txt": point_tables.read_points,
+        **dict.fromkeys(_TEXTS, point_tables.read_points),
     }
     if path.suffix.lower() not in readers:
-        raise FileError(f"{path} is '{path.suffix}'; points are read from {', '.join(SUFFIXES)}")
+        raise FileError(f"{path} is '{path.suffix}'; points are read from {', '.join(SUFFIXES)}: convert it")
     if not content:
         raise FileError(f"{path} is empty (0 bytes)")
     try:
@@ -92,8 +92,7 @@ def _ply(content: bytes) -> Floats:
     vertex = read_elements(content).get("vertex")
     if vertex is None:
         raise PlyError("has no element 'vertex'")
-    lower = {name.lower(): values for name, values in vertex.scalars.items()}
-    return Element(vertex.count, lower).columns("x", "y", "z")
+    return vertex.columns("x", "y", "z")
 
 
 class _PcdError(ValueError):
@@ -108,10 +107,13 @@ def _pcd(content: bytes) -> Floats:
     header = {words[0]: words[1:] for line in lines_of(decode(content[: end.start()])) if (words := line.split())}
     try:
         columns, count = _pcd_columns(header)
+        grid = [int(header[key][0]) for key in ("WIDTH", "HEIGHT") if key in header]
     except (KeyError, ValueError, IndexError) as error:
         raise _PcdError(
             "has a header without FIELDS, SIZE and TYPE of equal length, or POINTS; export it again"
         ) from error
+    if len(grid) == 2 and grid[0] * grid[1] != count:
+        raise _PcdError(f"announces {count} points but WIDTH {grid[0]} and HEIGHT {grid[1]}; export it again")
     if any(axis not in [name for name, _, _ in columns] for axis in "xyz"):
         raise _PcdError(f"has no x, y and z; its fields are {', '.join(name for name, _, _ in columns)}")
     body, kind = content[end.end() :], end[1].lower()
@@ -124,6 +126,8 @@ def _pcd(content: bytes) -> Floats:
         body = _unpack_lzf(body, width * count)
     if len(body) < width * count:
         raise _PcdError(f"ends before its {count} points; it is cut short, export or copy it again")
+    if kind == b"binary" and len(body) - width * count >= max(width, 1):
+        raise _PcdError(f"has {len(body) - width * count} bytes behind its {count} points; correct its header")
     # Packed data are stored column by column, plain data row by row.
     found, at = {}, 0
     for name, form, length in columns:
@@ -154,7 +158,9 @@ def _pcd_text(text: str, columns: list[tuple[str, str, int]], count: int) -> Flo
     for name, _, length in columns:
         starts.setdefault(name, at)
         at += length
-    rows = [line for line in text.splitlines() if line.strip()][:count]
+    rows = [line for line in lines_of(text) if line.strip("\0\x1a \t")]
+    if len(rows) > count:
+        raise _PcdError(f"has {len(rows)} points but announces {count}; correct its header, or export it again")
     if len(rows) < count:
         raise _PcdError(f"has {len(rows)} of {count} points; it is cut short, export or copy it again")
     points = np.empty((count, 3))

@@ -51,12 +51,14 @@ def read_rows(content: bytes) -> tuple[list[Row], list[str]]:
     data: list[tuple[int, str]] = []
     names: list[str] = []
     for number, line in enumerate(lines, start=1):
-        text = line.strip("\ufeff\0 \t")
+        text = line.strip("\ufeff\0\x1a \t")
         if text.startswith(_COMMENTS):
             names = names if data else re.split(r"[;,\s]+", text.strip("#/%* \t"))
         elif text:
             data.append((number, text.replace('"', "").replace("'", "")))
     every = "\n".join(text for _, text in data)
+    if "\0" in every:
+        raise TableError("is not a text file, or has bytes without a character; export it again")
     if ";" in every and re.search(r",\s", every) and not re.search(r",(?!\s)", every):
         rows = [Row(number, [word.strip() for word in re.split("[;,]", text)]) for number, text in data]
     elif ";" in every:
@@ -179,6 +181,12 @@ def _require_plain_columns(values: Floats, has_points: bool, line: int) -> None:
     if len(values) > 2 and values.shape[1] > 3 and (np.diff(values[:, 0]) == 1).all() and (values[:, 0] % 1 == 0).all():
         raise TableError(
             f"has {values.shape[1]} columns without names, and the first counts the points; name the columns in a "
+            "first line, such as 'id x y z'"
+        )
+    is_integer = (values % 1 == 0).all(axis=0)
+    if values.shape[1] > 3 and is_integer[0] and not is_integer[1:4].all():
+        raise TableError(
+            f"has {values.shape[1]} columns without names, and the first has only integers; name the columns in a "
             "first line, such as 'id x y z'"
         )
     if not has_points and values.shape[1] == 6 and (values % 1 == 0).all():

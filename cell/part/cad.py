@@ -61,6 +61,27 @@ class CadFace(Value):
     centre_radius: float | None = None
     half_angle: float | None = None
 
+    def distance(self, points: Floats) -> Floats:
+        """Return the distances of points (..., 3) [m] from a plane, cylinder, cone, sphere or torus."""
+        if self.point is None:
+            raise ValueError("a surface without parameters has no distance")
+        offset, radius = points - self.point, self.radius or 0.0
+        signed: Floats
+        if self.axis is None:
+            signed = np.linalg.norm(offset, axis=-1) - radius
+            return np.abs(signed)
+        along = np.abs(offset @ self.axis)
+        across = np.linalg.norm(offset - (offset @ self.axis)[..., None] * self.axis, axis=-1)
+        if self.kind is SurfaceKind.PLANE:
+            signed = along
+        elif self.half_angle is not None:
+            signed = across * np.cos(self.half_angle) - along * np.sin(self.half_angle)
+        elif self.centre_radius is not None:
+            signed = np.hypot(across - self.centre_radius, along) - radius
+        else:
+            signed = across - radius
+        return np.abs(signed)
+
     @property
     def dimensions(self) -> str:
         """Its sizes with units; "" without sizes."""
@@ -104,6 +125,9 @@ class CadModel(Value):
 DEVIATION_MM = 0.02
 """Largest distance of the triangles from their surface, of the order of a scanner's uncertainty."""
 
+MAX_VOLUME_ERROR = 1e-3
+"""Largest difference between the volumes of triangles and surfaces; a part above it is triangulated finer."""
+
 TURN_RAD = 0.2
 """Largest angle between normals of adjacent triangles; it adds to the angle of incidence."""
 
@@ -146,11 +170,16 @@ def read_step(source: str, content: bytes, metres: float | None = None) -> StepM
     elif metres is None and b"SHAPE_REPRESENTATION" in content:
         raise UsageError(f"{source} does not state its unit; give the units: mm, cm, um or in")
     content, n_hidden = _without_hidden_bodies(content)
-    made = _triangulate(source, content)
-    try:
-        model = _join_solids(list(_bodies(made)))
-    except (glb.GlbError, KeyError, TypeError, ValueError) as error:
-        raise _broken_file(source) from error
+    groups = _solids_and_sheets(content)
+    model = _read_groups(source, groups, 1.0)
+    error = _volume_error(source, groups, model)
+    if error > MAX_VOLUME_ERROR:
+        scale = max((MAX_VOLUME_ERROR / (2 * error)) ** 0.5, 1 / 16)  # the error grows with the square of the angle
+        model = _read_groups(source, groups, scale)
+        error = _volume_error(source, groups, model, scale)
+    if error > MAX_VOLUME_ERROR:
+        sentence = f"the triangles differ from the surfaces of the file by {100 * error:.2g} % of the volume"
+        model = replace(model, findings=(*model.findings, Finding(Kind.COARSE, sentence, Severity.WARNING)))
     if n_hidden:
         bodies = "1 hidden body is" if n_hidden == 1 else f"{n_hidden} hidden bodies are"
         note = Finding(Kind.HIDDEN, f"{bodies} left out; show them in the CAD program to measure them", Severity.NOTE)
@@ -181,16 +210,99 @@ def _without_hidden_bodies(content: bytes) -> tuple[bytes, int]:
             elif kind_of.endswith((b"_BREP", b"_SURFACE_MODEL", b"BREP_WITH_VOIDS", b"TESSELLATED_SOLID")):
                 hidden.add(number)
 
-    def visible(match: re.Match[bytes]) -> bytes:
+    return _without_items(content, hidden), len(hidden)
+
+
+def _without_items(content: bytes, items: set[bytes]) -> bytes:
+    """Remove items, by their numbers, from all shape representations of a STEP file."""
+
+    def remaining(match: re.Match[bytes]) -> bytes:
         number, kind, rest = match[1], match[2], match[3]
         if not kind.upper().endswith(b"SHAPE_REPRESENTATION"):
             return match[0]
-        head, opened, items = rest.partition(b"(")
-        listed, closed, tail = items.partition(b")")
-        shown = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in hidden]
+        head, opened, listed = rest.partition(b"(")
+        listed, closed, tail = listed.partition(b")")
+        shown = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in items]
         return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(shown) + closed + tail + b");"
 
-    return _ENTITY.sub(visible, content), len(hidden)
+    return _ENTITY.sub(remaining, content)
+
+
+_SOLIDS = (b"SOLID_BREP", b"FACETED_BREP", b"BREP_WITH_VOIDS", b"TESSELLATED_SOLID")
+_PLACES = (b"AXIS2_PLACEMENT_3D", b"MAPPED_ITEM")
+
+
+def _solids_and_sheets(content: bytes) -> list[bytes]:
+    """Return a file with the solids of a file only, and one with its other surfaces; [content] if it has not both.
+
+    Surfaces beside a solid can cover it or share its edges, so the triangles of both together are not closed. The
+    tessellated copy of an exact solid is left out.
+    """
+    entities = {number: (kind.upper(), rest) for number, kind, rest in _ENTITY.findall(content)}
+    listed = {
+        item
+        for kind, rest in entities.values()
+        if kind.endswith(b"SHAPE_REPRESENTATION")
+        for item in _REFERENCE.findall(rest.partition(b"(")[2].partition(b")")[0])
+    }
+    kinds = {item: entities.get(item, (b"", b""))[0] for item in listed}
+    solids = {item for item, kind in kinds.items() if kind.endswith(_SOLIDS)}
+    copies = {
+        item for item in solids
+        if kinds[item] == b"TESSELLATED_SOLID" and solids & set(_REFERENCE.findall(entities[item][1])[-1:])
+    }  # fmt: skip
+    sheets = {item for item, kind in kinds.items() if kind and item not in solids and kind not in _PLACES}
+    if not solids or not (sheets or copies):
+        return [content]
+    only_solids = _without_items(content, sheets | copies)
+    return [only_solids, _without_items(content, solids)] if sheets else [only_solids]
+
+
+def _read_groups(source: str, groups: list[bytes], scale: float) -> StepModel:
+    """Return the solids of all groups, triangulated with tolerances that are scaled."""
+    bodies: list[_Body] = []
+    for number, content in enumerate(groups):
+        made = _triangulate(source, content, scale=scale, may_be_empty=number > 0)
+        try:
+            bodies += _bodies(made, sum(len(body.cad) for body in bodies)) if made else []
+        except (glb.GlbError, KeyError, TypeError, ValueError) as error:
+            raise _broken_file(source) from error
+    try:
+        return _join_solids(bodies)
+    except ValueError as error:
+        raise _broken_file(source) from error
+
+
+def _volume_error(source: str, groups: list[bytes], model: StepModel, scale: float = 1.0) -> float:
+    """Return the difference between the volumes of triangles and surfaces, as a share of the volume.
+
+    The distance of surfaces with parameters is integrated over their triangles, at the middles of their edges, which is
+    exact to the second order. For other surfaces, the volume is compared with that of half the tolerances.
+    """
+    corners = model.vertices[model.faces] - model.vertices.mean(axis=0)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volume = abs(float(np.einsum("fj,fj->", corners[:, 0], cross)) / 6)
+    if volume <= 0:
+        return 0.0
+    areas = np.linalg.norm(cross, axis=1) / 2
+    is_other = np.array([face.kind is SurfaceKind.OTHER for face in model.cad.faces])[model.cad.of_triangle]
+    if areas[is_other].sum() > 0.01 * areas.sum():
+        fine = _read_groups(source, groups, scale / 2)
+        finer = fine.vertices[fine.faces] - model.vertices.mean(axis=0)
+        other = abs(float(np.einsum("fj,fj->", finer[:, 0], np.cross(finer[:, 1], finer[:, 2]))) / 6)
+        return abs(other - volume) * 4 / 3 / volume
+    missing = 0.0
+    for index, face in enumerate(model.cad.faces):
+        if face.kind in (SurfaceKind.CYLINDER, SurfaceKind.SPHERE, SurfaceKind.CONE, SurfaceKind.TORUS):
+            own = model.cad.of_triangle == index
+            triangles = model.vertices[model.faces[own]]
+            middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
+            outside = (
+                middles + 1e-6 * (cross[own] / np.linalg.norm(cross[own], axis=1, keepdims=True).clip(1e-30))[:, None]
+            )
+            distance, moved = face.distance(middles), face.distance(outside)
+            missing += float((areas[own, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
+    return abs(missing) / volume
 
 
 def _scaled(model: StepModel, factor: float) -> StepModel:
@@ -232,8 +344,18 @@ def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Float
     return vertices, faces, colours[of_face]
 
 
-def _triangulate(source: str, content: bytes, *, by_face: bool = False) -> bytes:
-    """Return the GLB of Open CASCADE: one primitive per body with descriptions of its faces, or one per face."""
+def _triangulate(
+    source: str, content: bytes, *, by_face: bool = False, scale: float = 1.0, may_be_empty: bool = False
+) -> bytes:
+    """Return the GLB of Open CASCADE: one primitive per body with descriptions of its faces, or one per face.
+
+    Args:
+        source: name of the file in messages.
+        content: of the file.
+        by_face: one primitive per face.
+        scale: of the tolerances.
+        may_be_empty: return b"" if there is no surface.
+    """
     if find_spec("cascadio") is None:  # an optional dependency of 104 MB
         raise FileError(
             f"{source} is a STEP file, which needs cascadio: pip install 'scan-cell[step]', or export a mesh"
@@ -246,7 +368,7 @@ def _triangulate(source: str, content: bytes, *, by_face: bool = False) -> bytes
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder) / "part.step", Path(folder) / "part.glb"
         given.write_bytes(content)
-        words = [str(given), str(made), str(DEVIATION_MM), str(TURN_RAD), str(int(by_face))]
+        words = [str(given), str(made), str(DEVIATION_MM * scale), str(TURN_RAD * scale), str(int(by_face))]
         done = subprocess.run(
             [sys.executable, str(Path(open_cascade.__file__)), *words],
             stdin=subprocess.DEVNULL,
@@ -257,14 +379,19 @@ def _triangulate(source: str, content: bytes, *, by_face: bool = False) -> bytes
         if done.returncode or not made.exists():
             raise FileError(f"{source} makes Open CASCADE fail (exit code {done.returncode}); export it again")
         found = made.read_bytes()
-    if not found:
+    if not found and not may_be_empty:
         raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
     return found
 
 
 def states_unit(content: bytes) -> bool:
-    """Return whether a STEP file states its unit of length."""
-    return re.search(rb"GLOBAL_UNIT_ASSIGNED_CONTEXT\s*\(", content) is not None and b"LENGTH_UNIT" in content
+    """Return whether a STEP file states its unit of length, in the units of a context."""
+    for units in re.findall(rb"GLOBAL_UNIT_ASSIGNED_CONTEXT\s*\(\s*\(([^)]*)\)", content):
+        for number in _REFERENCE.findall(units):
+            entity = re.search(rb"#" + number + rb"\s*=\s*([^;]*);", content)
+            if entity is not None and b"LENGTH_UNIT" in entity[1]:
+                return True
+    return False
 
 
 def _broken_file(source: str) -> FileError:
@@ -282,9 +409,8 @@ class _Body:
     solid: NDArray[np.bool_]
 
 
-def _bodies(made: bytes) -> Iterator[_Body]:
-    """Yield the surfaces with their CAD faces, numbered consecutively."""
-    count = 0
+def _bodies(made: bytes, count: int = 0) -> Iterator[_Body]:
+    """Yield the surfaces with their CAD faces, numbered consecutively from `count` + 1."""
     for primitive in glb.primitives(made):
         extension = primitive.extensions.get("TM_brep_faces")
         described = extension.get("faces", []) if isinstance(extension, Mapping) else [None]

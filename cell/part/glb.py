@@ -163,7 +163,9 @@ def _chunks(content: bytes) -> tuple[Table, list[bytes]]:
     """Return the scene description and the binary data."""
     if len(content) < 20 or content[:4] != b"glTF":
         raise GlbError("is not a binary glTF file (GLB): export the mesh again")
-    length = struct.unpack_from("<I", content, 8)[0]
+    version, length = struct.unpack_from("<II", content, 4)
+    if version != 2:
+        raise GlbError(f"is glTF of version {version}; supported is version 2: export it again")
     if length > len(content):
         raise GlbError(f"is cut short: it announces {length} bytes but has {len(content)}: export or copy it again")
     size, kind = struct.unpack_from("<II", content, 12)
@@ -201,6 +203,9 @@ def _placed(described: Table, data: list[bytes]) -> Iterator[tuple[Floats, Table
     while todo:
         number, T_parent = todo.pop()
         node = nodes[_index(number, nodes, "node")]
+        visibility = node.get("extensions") or {}
+        if isinstance(visibility, dict) and visibility.get("KHR_node_visibility") == {"visible": False}:
+            raise GlbError("has a hidden node (KHR_node_visibility): show it or delete it")
         if number in seen:  # nodes form trees (3.5.3); a cycle would never end
             raise GlbError("has a node under two parents: export the mesh again")
         seen.add(number)
@@ -297,8 +302,10 @@ def _accessor(described: Table, data: list[bytes], number: Any, kind: np.dtype[A
     accessors, views = _list(described, "accessors"), _list(described, "bufferViews")
     accessor = accessors[_index(number, accessors, "accessor")]
     if accessor.get("bufferView") is None or "sparse" in accessor:
-        raise GlbError("has a sparse accessor, or one without data, which is not supported: export without them")
+        raise GlbError(f"has a sparse accessor, or one without data{_compression(described)}: export without them")
     view = views[_index(accessor["bufferView"], views, "buffer view")]
+    if isinstance(view.get("extensions"), dict) and view["extensions"]:
+        raise GlbError(f"has data of another form{_compression(described)}: export without compression")
     component = accessor.get("componentType")
     stored: np.dtype[Any] | None = kind
     if kind is None and isinstance(component, int):
@@ -320,6 +327,12 @@ def _accessor(described: Table, data: list[bytes], number: Any, kind: np.dtype[A
     if not count:
         return np.zeros((0, length))
     return np.ndarray((count, length), stored, buffer, begin + offset, (stride, stored.itemsize))
+
+
+def _compression(described: Table) -> str:
+    """Return the extensions that the file uses, in parentheses; "" without."""
+    used = described.get("extensionsUsed")
+    return f" ({', '.join(str(each)[:60] for each in used)})" if isinstance(used, list) and used else ""
 
 
 def _list(table: Table, key: str, *, numbers: bool = False) -> list[Any]:

@@ -36,6 +36,7 @@ class Kind(StrEnum):
     BODIES = "several_bodies"
     NO_SOLID = "no_solid"
     HIDDEN = "hidden_bodies"
+    COARSE = "coarse_triangles"
     UNITS = "units"
     FLAT = "flat"
     FAR = "far_from_origin"

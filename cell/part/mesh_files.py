@@ -9,6 +9,7 @@ import io
 import re
 import struct
 import warnings
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -30,9 +31,24 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
 
 _POLYGON_READERS: Mapping[str, Callable[[bytes], PolygonMesh]] = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
 
+_OTHER_CONTENT = {
+    b"version https://git-lfs": ("is a pointer of Git LFS, not the file itself; run git lfs pull",),
+    b"<!doctype html": ("is a web page, not a mesh; download the file itself",),
+    b"<html": ("is a web page, not a mesh; download the file itself",),
+    b"\x1f\x8b": ("is compressed (gzip); unpack it first",),
+    b"pk\x03\x04": ("is a ZIP archive; unpack it first", ".3mf"),
+    b"gltf\x02": ("is a binary glTF file; name it .glb", ".glb"),
+}
+"""Sentence for the first bytes of other files, and the suffixes that may have them."""
+
+MAX_COORDINATE = 1e9
+"""Largest coordinate in the unit of the file: products of three lengths are finite, also in single precision."""
+
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_STL_END = re.compile(r"end[ \t]*solid[^\r\n]*[\s\0\x1a]*\Z")
+_STL_FACET_END = re.compile(r"end[ \t]*facet")
 _LINE_END = re.compile(r"[\r\n]")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 
@@ -59,6 +75,9 @@ def read_bytes(path: Path) -> bytes:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     if not content:
         raise FileError(f"{path} is empty (0 bytes); export the mesh again")
+    for begin, what in _OTHER_CONTENT.items():
+        if content[:40].lower().startswith(begin) and path.suffix.lower() not in what[1:]:
+            raise FileError(f"{path} {what[0]}")
     return content
 
 
@@ -76,21 +95,31 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
     Raises:
         FileError: if the content is not a mesh of this format, has no faces, or a used coordinate is not finite.
     """
+    with np.errstate(over="ignore", invalid="ignore"):  # of transforms; `check_mesh` finds what is not finite
+        return check_mesh(str(path), *_read(path, content))
+
+
+def _read(path: Path, content: bytes) -> tuple[Floats, Ints]:
+    """Return vertices and triangles of a mesh file as they are."""
     suffix = path.suffix.lower()
     if suffix in STEP:
         solids = cad.read_step(str(path), content)
-        return check_mesh(str(path), solids.vertices, solids.faces)
+        return solids.vertices, solids.faces
     try:
         if suffix in (".glb", ".gltf"):
-            return check_mesh(str(path), *glb.triangles(content, path.parent if suffix == ".gltf" else None))
+            return glb.triangles(content, path.parent if suffix == ".gltf" else None)
         if suffix == ".3mf":
-            return check_mesh(str(path), *three_mf.triangles(content))
+            return three_mf.triangles(content)
         if suffix == ".stl":
-            return check_mesh(str(path), *_parse_stl(path, content))
+            return _parse_stl(path, content)
         mesh = _POLYGON_READERS[suffix](content)
-        return check_mesh(str(path), mesh.vertices, triangulate(mesh)[0])
+        return mesh.vertices, triangulate(mesh)[0]
     except (glb.GlbError, three_mf.ThreeMfError, PolygonError) as error:
         raise FileError(f"{path} {error}") from error
+    except UnicodeDecodeError as error:
+        raise FileError(
+            f"{path} has the byte order mark of {error.encoding} but other bytes; export it again"
+        ) from error
 
 
 def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
@@ -102,7 +131,7 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
         faces: (F, 3) corner indices.
 
     Raises:
-        FileError: if it has no faces, or a face has a missing or a non-finite corner.
+        FileError: if it has no faces, or a face has a missing, a non-finite or a too distant corner.
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise FileError(f"{source} is broken: its vertices do not have three coordinates; export the mesh again")
@@ -120,7 +149,16 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
             f"{source} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
             "repair or export the mesh again"
         )
+    _require_in_range(source, vertices)
     return vertices, faces
+
+
+def _require_in_range(source: str, vertices: Floats) -> None:
+    if (largest := float(np.abs(vertices).max())) > MAX_COORDINATE:
+        raise FileError(
+            f"{source} has a coordinate of {largest:.3g}, and the limit is {MAX_COORDINATE:g} in the unit of the file; "
+            "check scales and places in it, and export the mesh again"
+        )
 
 
 def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
@@ -130,15 +168,26 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
     if announced and len(content) >= _STL_HEADER + announced * _STL_FACE:
+        rest = content[_STL_HEADER + announced * _STL_FACE :]
+        if len(rest) >= _STL_FACE and rest.strip(b"\0"):
+            raise FileError(
+                f"{path} announces {announced} faces but has {len(rest)} bytes behind them, the size of "
+                f"{len(rest) // _STL_FACE} more; export all bodies again, in one file"
+            )
         rows = np.frombuffer(content, _STL_ROW, announced, _STL_HEADER)
         return rows["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * announced).reshape(-1, 3)
-    text = decode(content)
+    is_text = b"\0" not in content.strip(b"\0") or content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    text = decode(content) if is_text else ""
     if text.lstrip("\ufeff \t\r\n\0")[:5].lower() == "solid" and "facet" in text.lower():
         return _parse_ascii_stl(path, text)
     if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
         raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
-    if announced is None or announced:
-        size = f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)" if announced else "a longer header"
+    if announced is None or announced or len(content) > _STL_HEADER:
+        size = (
+            f"{announced} faces ({_STL_HEADER + announced * _STL_FACE} bytes)"
+            if announced is not None
+            else "a longer header"
+        )
         raise FileError(
             f"{path} is cut short or no STL: it announces {size} but has {len(content)} bytes; "
             "export or copy the mesh again"
@@ -148,19 +197,29 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
 
 def _parse_ascii_stl(path: Path, text: str) -> tuple[Floats, Ints]:
     """Return corners and triangles of an ASCII STL; its normals are ignored."""
-    text = _without_names(text.lower())
-    rows = [" ".join(row.split(None, 3)[:3]) for row in text.split("vertex")[1:]]
+    text = text.lower()
+    has_end = _STL_END.search(text) is not None
+    text = _without_names(text)
+    words = [row.split(None, 3) for row in text.split("vertex")[1:]]
+    rows = [" ".join(each[:3]) for each in words]
     numbers = parse_numbers(" ".join(rows), 3 * len(rows))
-    if numbers is None:
+    if numbers is None or any(len(each) > 3 and each[3][0] in "+-.,0123456789" for each in words):
         for number, line in enumerate(lines_of(text), start=1):
-            keyword, _, row = line.strip().partition(" ")
-            if keyword == "vertex" and not all(_NUMBER.fullmatch(word) for word in row.split()):
+            keyword, row = [*line.split(None, 1), "", ""][:2]
+            if keyword == "vertex" and not (len(row.split()) == 3 and all(map(_NUMBER.fullmatch, row.split()))):
                 hint = "write decimal points and no commas" if "," in row else "it needs three numbers"
                 raise FileError(f"{path} has a vertex that cannot be read, line {number}: {row.strip()[:60]}; {hint}")
         raise FileError(f"{path} has a vertex without three numbers; export the mesh again")
-    n_facets = text.count("endfacet") + text.count("end facet")
-    if len(rows) % 3 or n_facets * 3 != len(rows):
+    facets = _STL_FACET_END.split(text)
+    if text.count("facet") != 2 * (len(facets) - 1):
         raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
+    for number, facet in enumerate(facets[:-1] if len(rows) != 3 * (len(facets) - 1) else (), start=1):
+        if (n_corners := facet.count("vertex")) != 3:
+            raise FileError(f"{path} has a facet with {n_corners} corners (facet {number}); an STL facet has three")
+    if len(rows) % 3:
+        raise FileError(f"{path} has a vertex outside its facets; export the mesh again")
+    if not has_end:
+        raise FileError(f"{path} does not end with 'endsolid'; it is cut short, export or copy the mesh again")
     return numbers.reshape(-1, 3), np.arange(len(rows)).reshape(-1, 3)
 
 
@@ -217,6 +276,13 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
     Raises:
         FileError: if it cannot be read, or has no colours.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        mesh, colours = _read_coloured(path, metres)
+    _require_in_range(str(path), mesh.vertices / metres)
+    return mesh, colours
+
+
+def _read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
     content, suffix = read_bytes(path), path.suffix.lower()
     if suffix in STEP:
         vertices, faces, of_face = cad.read_coloured_step(str(path), content)

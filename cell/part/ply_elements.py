@@ -16,12 +16,26 @@ from planner.values import Floats, Ints
 
 _TYPE_NAMES = (
     "char=i1 uchar=u1 short=i2 ushort=u2 int=i4 uint=u4 float=f4 double=f8 "
-    "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 float32=f4 float64=f8"
+    "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 int64=i8 uint64=u8 float32=f4 float64=f8"
 )
 _TYPES = dict(pair.split("=") for pair in _TYPE_NAMES.split())
-_STRUCT_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+_STRUCT_CODES = {
+    "i1": "b",
+    "u1": "B",
+    "i2": "h",
+    "u2": "H",
+    "i4": "i",
+    "u4": "I",
+    "i8": "q",
+    "u8": "Q",
+    "f4": "f",
+    "f8": "d",
+}
 _MARK = b"\xef\xbb\xbf"  # UTF-8
 _WINDOWS_NAN = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
+
+
+_MORE = "its counts or properties are wrong, or it was copied as text; export or copy it again"
 
 
 class PlyError(ValueError):
@@ -79,11 +93,13 @@ def read_elements(content: bytes) -> dict[str, Element]:
     if not content.startswith(b"ply") or end is None:
         raise PlyError("is not a PLY file, or its header has no end; export it again")
     form, tables = _header(decode(content[: end.start()]))
-    body = content[end.end() :].removeprefix(_MARK)
     if form == "ascii":
+        body = content[end.end() :].removeprefix(_MARK)
         numbers = _ascii_numbers(body, len(lines_of(decode(content[: end.end()]))) - 1)
         return _from_numbers(tables, numbers)
-    return _from_bytes(tables, body, {"binary_little_endian": "<", "binary_big_endian": ">"}[form])
+    # In a binary file with CR as line end, a line feed after the header belongs to the data.
+    begin = end.start(1) + 1 if b"\n" not in content[: end.start()] else end.end()
+    return _from_bytes(tables, content[begin:], {"binary_little_endian": "<", "binary_big_endian": ">"}[form])
 
 
 def _header(text: str) -> tuple[str, list[_Table]]:
@@ -96,9 +112,9 @@ def _header(text: str) -> tuple[str, list[_Table]]:
                 case ["element", name, count]:
                     tables.append(_Table(name, int(count), []))
                 case ["property", "list", count_kind, kind, name] if not count_kind.startswith(("float", "double")):
-                    tables[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count_kind]))
+                    tables[-1].properties.append(_Property(name.lower(), _TYPES[kind], _TYPES[count_kind]))
                 case ["property", kind, name]:
-                    tables[-1].properties.append(_Property(name, _TYPES[kind]))
+                    tables[-1].properties.append(_Property(name.lower(), _TYPES[kind]))
                 case ["comment" | "obj_info" | "ply", *_] | []:
                     pass
                 case _:
@@ -141,6 +157,8 @@ def _from_numbers(tables: list[_Table], numbers: Floats) -> dict[str, Element]:
             elements[table.name] = Element(table.count, scalars)
         else:
             elements[table.name], at = _ascii_rows(table, numbers, at)
+    if at < len(numbers):
+        raise PlyError(f"has {len(numbers) - at} numbers more than its header announces; {_MORE}")
     return elements
 
 
@@ -190,6 +208,8 @@ def _from_bytes(tables: list[_Table], body: bytes, order: str) -> dict[str, Elem
             elements[table.name], at = _rows_one_by_one(table, body, at, order)
         else:
             elements[table.name], at = element
+    if more := len(body[at:].strip()):
+        raise PlyError(f"has {more} bytes more than its header announces; {_MORE}")
     return elements
 
 

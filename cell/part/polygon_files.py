@@ -17,6 +17,8 @@ from cell.text import decode, lines_of, parse_numbers
 from planner.values import Floats, Ints
 
 _FREE_FORM = ("surf", "curv", "curv2", "cstype", "bzp", "bsp", "patch")
+_OTHER_FILE = ("call", "csh")
+_VERTEX, _FACE = ("v ", "v\t", "V ", "V\t"), ("f ", "f\t", "F ", "F\t", "fo")  # fo: a face in old files
 
 
 def read_obj(content: bytes) -> PolygonMesh:
@@ -27,23 +29,31 @@ def read_obj(content: bytes) -> PolygonMesh:
     Raises:
         PolygonError: with the line, if a vertex or a face is not valid, or the file has free-form surfaces.
     """
-    text = decode(content)
+    text = decode(content).rstrip("\0")
     if "\0" in text:
         raise PolygonError("is not an OBJ file: it contains binary data; export the mesh again")
-    if "\\" in text:
-        text = re.sub(r"\\[ \t]*(\r\n|\n|\r)", " ", text)
     lines = [line.partition("#")[0].strip() if "#" in line else line.strip() for line in lines_of(text)]
+    if "\\" in text:
+        lines = _joined(lines)
     for number, line in enumerate(lines):
-        if line[:1] in ("s", "c", "b", "p") and line.split(None, 1)[0] in _FREE_FORM:
-            raise PolygonError(f"has a free-form surface, line {number + 1}, which is not supported; export polygons")
-    of_vertices = [k for k, line in enumerate(lines) if line[:2] in ("v ", "v\t")]
-    of_faces = [k for k, line in enumerate(lines) if line[:2] in ("f ", "f\t")]
+        if line[:1] in ("s", "c", "b", "p") and (keyword := line.split(None, 1)[0]) in (*_FREE_FORM, *_OTHER_FILE):
+            kind = "a free-form surface" if keyword in _FREE_FORM else "a reference to another file"
+            raise PolygonError(f"has {kind}, line {number + 1}, which is not supported; export all as polygons")
+    of_vertices = [k for k, line in enumerate(lines) if line[:2] in _VERTEX]
+    of_faces = [k for k, line in enumerate(lines) if line[:2] in _FACE]
     rows, widths = _table([lines[k][2:] for k in of_vertices], of_vertices)
     if len(widths) and widths.min() < 3:
         short = int(np.argmin(widths))
         raise PolygonError(f"has a vertex with fewer than three coordinates, line {of_vertices[short] + 1}")
     starts = np.cumsum(widths) - widths
     vertices = rows[starts[:, None] + np.arange(3)] if len(starts) else np.zeros((0, 3))
+    weighted = np.flatnonzero(widths == 4)
+    weighted = weighted[rows[starts[weighted] + 3] != 1]
+    if len(weighted):
+        raise PolygonError(
+            f"has a vertex with a fourth number, line {of_vertices[weighted[0]] + 1}, a weight that is not 1, or a "
+            "blank in a number; export three coordinates"
+        )
     colours = None
     if len(widths) and (widths >= 6).all():
         colours = rows[starts[:, None] + np.arange(3, 6)]
@@ -66,6 +76,23 @@ def read_obj(content: bytes) -> PolygonMesh:
         )
     mesh = PolygonMesh(vertices, corners, counts)
     return mesh if colours is None else PolygonMesh(vertices, corners, counts, mesh.means(colours))
+
+
+def _joined(lines: list[str]) -> list[str]:
+    """Join vertices and faces whose lines end in a backslash with the next one, which becomes empty.
+
+    Names and comments can end in a backslash, too.
+    """
+    joined: list[str] = []
+    begin = 0
+    for line in lines:
+        if joined and joined[begin].endswith("\\") and joined[begin][:2] in (*_VERTEX, *_FACE):
+            joined[begin] = f"{joined[begin][:-1]} {line}"
+            joined.append("")
+        else:
+            begin = len(joined)
+            joined.append(line)
+    return joined
 
 
 def read_off(content: bytes) -> PolygonMesh:
@@ -150,8 +177,9 @@ def read_ply(content: bytes) -> PolygonMesh:
         colours = _ply_colours(face) if face.count else None
         strips = elements.get("tristrips", Element(0))
         if strips.count:
-            (name,) = strips.lists
-            more = _strip_triangles(*strips.lists[name])
+            if len(strips.lists) != 1:
+                raise PlyError("has triangle strips without one list of vertex indices; export it again")
+            more = _strip_triangles(*next(iter(strips.lists.values())))
             corners = np.concatenate([corners, more.ravel()])
             counts, colours = np.concatenate([counts, np.full(len(more), 3)]), None
     except PlyError as error:
@@ -219,7 +247,7 @@ def _table(rows: Sequence[str], line_of: Sequence[int]) -> tuple[Floats, Ints]:
         for row, line in zip(rows, line_of, strict=True):
             for word in row.split():
                 try:
-                    float(word)
+                    float(word.replace("_", "?"))
                 except ValueError as error:
                     hint = "; decimal commas are not supported, write decimal points" if "," in word else ""
                     raise PolygonError(

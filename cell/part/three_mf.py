@@ -1,6 +1,7 @@
-"""Triangles of a 3MF file (3MF Core Specification 1.3): a ZIP archive with a model in XML."""
+"""Triangles of a 3MF file (3MF Core Specification 1.3, Production Extension 1.1): a ZIP archive with models in XML."""
 
 import io
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -16,6 +17,16 @@ MAX_MODEL = 500_000_000
 
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+_PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"  # objects in several model parts
+_MATERIALS = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"  # colours only
+_SLICER_VOLUME = re.compile(
+    rb"(negative_part|modifier_part|support_blocker|support_enforcer|NegativeVolume|ParameterModifier|SupportBlocker"
+    rb"|SupportEnforcer)"
+)  # in the settings of Bambu Studio, OrcaSlicer and PrusaSlicer
+_BROKEN = (
+    *(zipfile.BadZipFile, zlib.error, ElementTree.ParseError, KeyError, TypeError, ValueError, LookupError),
+    *(NotImplementedError, RuntimeError, EOFError, OSError),
+)
 _UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 _DEEPEST = 16  # components in components
 
@@ -28,49 +39,96 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
     """Return vertices (V, 3) [m] and triangles (F, 3) of the build items.
 
     Raises:
-        ThreeMfError: if the file is broken or has required extensions.
+        ThreeMfError: if the file is broken, or has required extensions other than production, support structures or
+            volumes that a slicer subtracts.
     """
     try:
-        root = ElementTree.fromstring(_model(content))
-        if required := root.get("requiredextensions", "").split():
-            raise ThreeMfError(f"requires the 3MF extension '{required[0]}', which is not supported; export without it")
-        unit = root.get("unit", "millimeter")
-        if unit not in _UNITS:
-            raise ThreeMfError(f"has the unit '{unit[:40]}'; known are {', '.join(_UNITS)}")
-        objects = {each.get("id"): each for each in root.iterfind(f"{_CORE}resources/{_CORE}object")}
-        items = root.findall(f"{_CORE}build/{_CORE}item")
-        if not items:
-            raise ThreeMfError("has no build item; export the bodies again")
-        found = [
-            surface
-            for item in items
-            for surface in _surfaces(objects, item.get("objectid"), _transform(item), _DEEPEST)
-        ]
-    except (zipfile.BadZipFile, zlib.error, ElementTree.ParseError, KeyError, TypeError, NotImplementedError) as error:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            package = _Package(archive)
+            package.require_solids()
+            root = package.root(package.main)
+            unit = root.get("unit", "millimeter")
+            if unit not in _UNITS:
+                raise ThreeMfError(f"has the unit '{unit[:40]}'; known are {', '.join(_UNITS)}")
+            items = root.findall(f"{_CORE}build/{_CORE}item")
+            if not items:
+                raise ThreeMfError("has no build item; export the bodies again")
+            found = [surface for item in items for surface in _surfaces(package, package.main, item, _DEEPEST)]
+    except ThreeMfError:
+        raise
+    except _BROKEN as error:
         raise ThreeMfError("cannot be read as 3MF: archive or model is broken; export it again") from error
     vertices, faces, _ = concatenate_meshes(found)
     return vertices * _UNITS[unit], faces
 
 
-def _model(content: bytes) -> bytes:
-    """Return the XML of the model that the archive names first."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+class _Package:
+    """The model parts of an archive, each parsed once.
+
+    Args:
+        archive: open.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        self._roots: dict[str, ElementTree.Element] = {}
         relations = ElementTree.fromstring(archive.read("_rels/.rels"))
-        name = next(each.get("Target", "") for each in relations if each.get("Type") == _MODEL_TYPE).lstrip("/")
-        if archive.getinfo(name).file_size > MAX_MODEL:
-            raise ThreeMfError(f"has a model of more than {MAX_MODEL / 1e6:.0f} MB; export it as binary STL")
-        return archive.read(name)
+        models = [each.get("Target", "") for each in relations if each.get("Type") == _MODEL_TYPE]
+        if not models:
+            raise ThreeMfError("names no model in its relations; export it again")
+        self.main = models[0].lstrip("/")
+
+    def require_solids(self) -> None:
+        """Refuse volumes that a slicer subtracts or uses for settings: as meshes they are like any other."""
+        for name in self._archive.namelist():
+            if name.startswith("Metadata/") and name.endswith(".config"):
+                kind = _SLICER_VOLUME.search(self._archive.read(name))
+                if kind:
+                    raise ThreeMfError(
+                        f"has a volume of the kind '{kind[1].decode()}', which a slicer does not print as a body; "
+                        "remove it, and export again"
+                    )
+
+    def root(self, name: str) -> ElementTree.Element:
+        """Return the XML of a model part.
+
+        Raises:
+            ThreeMfError: if it is too large, or requires an extension that is not supported.
+        """
+        if name not in self._roots:
+            if self._archive.getinfo(name).file_size > MAX_MODEL:
+                raise ThreeMfError(f"has a model of more than {MAX_MODEL / 1e6:.0f} MB; export it as binary STL")
+            content = self._archive.read(name)
+            self._roots[name] = root = ElementTree.fromstring(content)
+            names = dict(re.findall(r"""xmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""", content.decode("utf-8", "replace")))
+            for prefix in root.get("requiredextensions", "").split():
+                if names.get(prefix) not in (_PRODUCTION, _MATERIALS):
+                    raise ThreeMfError(
+                        f"requires the 3MF extension '{prefix}', which is not supported; export without it"
+                    )
+        return self._roots[name]
+
+    def object(self, name: str, number: str | None) -> ElementTree.Element:
+        """Return an object of a model part."""
+        for each in self.root(name).iterfind(f"{_CORE}resources/{_CORE}object"):
+            if each.get("id") == number:
+                return each
+        raise ThreeMfError(f"refers to the missing object {number}; export it again")
 
 
 def _surfaces(
-    objects: dict[str | None, ElementTree.Element], number: str | None, T: Floats, depth: int
+    package: _Package, model: str, reference: ElementTree.Element, depth: int, T: Floats | None = None
 ) -> Iterator[tuple[Floats, Ints]]:
-    """Yield the surfaces of an object and of its components at their transforms."""
+    """Yield the surfaces of an item or component, and of the components of its object, at their transforms."""
     if depth == 0:
         raise ThreeMfError(f"has components nested more than {_DEEPEST} deep; export the bodies one by one")
-    if number not in objects:
-        raise ThreeMfError(f"refers to the missing object {number}; export it again")
-    mesh = objects[number].find(f"{_CORE}mesh")
+    number = reference.get("objectid")
+    model = reference.get(f"{{{_PRODUCTION}}}path", model).lstrip("/")
+    T = _transform(reference) if T is None else T @ _transform(reference)
+    solid = package.object(model, number)
+    if solid.get("type", "model") in ("support", "solidsupport"):
+        raise ThreeMfError(f"has a support structure (object {number}); export the part without it")
+    mesh = solid.find(f"{_CORE}mesh")
     if mesh is not None:
         points = [[each.get(axis) for axis in "xyz"] for each in mesh.iterfind(f"{_CORE}vertices/{_CORE}vertex")]
         corners = [
@@ -82,8 +140,8 @@ def _surfaces(
             raise ThreeMfError(f"has a triangle of object {number} that refers to a missing vertex; export it again")
         mirrored = np.linalg.det(T[:3, :3]) < 0
         yield vertices @ T[:3, :3].T + T[:3, 3], faces[:, :: -1 if mirrored else 1]
-    for each in objects[number].iterfind(f"{_CORE}components/{_CORE}component"):
-        yield from _surfaces(objects, each.get("objectid"), T @ _transform(each), depth - 1)
+    for each in solid.iterfind(f"{_CORE}components/{_CORE}component"):
+        yield from _surfaces(package, model, each, depth - 1, T)
 
 
 def _numbers(rows: list[list[str | None]]) -> Floats:

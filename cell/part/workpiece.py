@@ -111,7 +111,8 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
         merged = mesh_files.check_mesh(str(path), solids.vertices, solids.faces)
         part = from_mesh(path.stem, *merged, units, sha256, solids.cad)
         return replace(part, findings=(*solids.findings, *part.findings))
-    return from_mesh(path.stem, *mesh_files.parse(path, content), units, sha256)
+    states_unit = own_units(path.name) is not None
+    return from_mesh(path.stem, *mesh_files.parse(path, content), units, sha256, states_unit=states_unit)
 
 
 def from_trusted_mesh(name: str, mesh: TriangleMesh) -> Workpiece:
@@ -154,7 +155,14 @@ def _require_units(source: str, units: str | None) -> str:
 
 
 def from_mesh(
-    name: str, vertices: Floats, faces: NDArray[np.integer], units: str, sha256: str, cad: CadModel | None = None
+    name: str,
+    vertices: Floats,
+    faces: NDArray[np.integer],
+    units: str,
+    sha256: str,
+    cad: CadModel | None = None,
+    *,
+    states_unit: bool = False,
 ) -> Workpiece:
     """Check and repair a mesh, scale it to metres and return the part.
 
@@ -165,6 +173,7 @@ def from_mesh(
         units: a key of `UNITS`.
         sha256: of the source of the arrays.
         cad: the CAD face of each triangle; None for a mesh.
+        states_unit: whether the file states its unit, so the user cannot.
 
     Raises:
         FileError: if no face has an area.
@@ -175,7 +184,7 @@ def from_mesh(
     used = _used_vertices(vertices, faces)
     metres = vertices[used] * UNITS[units]
     mesh = TriangleMesh(metres, (np.cumsum(used, dtype=np.int32) - np.int32(1))[faces])
-    given = units if cad is None else None
+    given = None if states_unit or cad is not None else units
     findings = (*findings, *size_findings(np.ptp(metres, axis=0), given), *_distance_findings(metres))
     return Workpiece(
         name, mesh, sha256, findings, None if cad is None else replace(cad, of_triangle=cad.of_triangle[kept])

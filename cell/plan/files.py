@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ import numpy as np
 from cell import scanners
 from cell.errors import FileError, SceneError
 from cell.files import model_file
+from cell.inspect.features import InspectionPlan
+from cell.inspect.inspection import FEATURES, PREDICTED, QIF_SOURCE, plan_inspection, predict_plan, qif_source
+from cell.inspect.results import InspectionResult
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import CandidateSet, MeasuredSet, PlanSession
 from cell.plan.motion import ConnectedPlan
@@ -18,6 +22,7 @@ from cell.report.plan_report import markdown
 from cell.robot import model as robot
 from cell.robot.arm import wrist_positions
 from cell.robot.robot_file import mesh_files
+from cell.runs import ply
 from cell.runs.facts import (
     degrees,
     fixture_file,
@@ -43,7 +48,9 @@ from cell.runs.schema import (
     ResolvedRegion,
     ResolvedScene,
     ScannerKeys,
+    parsed,
 )
+from cell.scene.features import Inspection
 from cell.scene.fields import Table
 from cell.scene.file import load_scene
 from cell.scene.model import MeshFixture, Scene, with_rest
@@ -65,10 +72,13 @@ _PATH_STEPS = 12  # of the scanner's path between two via points
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     """Return the sha256 of the inputs of a plan: the part, and the scene with files by their content."""
     optional = {"region": scene.region, "setup": scene.setup, "table": scene.table.enabled}
+    optional |= {"feature": scene.feature, "inspection": scene.inspection != Inspection()}
     content = scene.model_dump(mode="json", exclude={key for key, given in optional.items() if not given})
     for region in content.get("region", ()):
         if region["painted"] is not None:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
+    if scene.inspection.qif is not None:
+        content["inspection"]["qif"] = hashlib.sha256(Path(scene.inspection.qif).read_bytes()).hexdigest()
     content["part"] = {"sha256": part.sha256, "units": scene.part.units}
     if scene.robot.model != robot.KR16:
         shas = [hashlib.sha256(path.read_bytes()).hexdigest() for path in _robot_files(scene)]
@@ -83,7 +93,7 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
 
 def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     """Return the files that the user named: scene, part, robot with its meshes, meshes of fixtures."""
-    named = [("scene", scene_path), ("part", scene.part.path)]
+    named = [("scene", scene_path), ("part", scene.part.path), ("qif", scene.inspection.qif)]
     named += [("robot", path) for path in _robot_files(scene)]
     named += [
         (f"fixture:{fixture.name}", fixture.path) for fixture in scene.fixtures if isinstance(fixture, MeshFixture)
@@ -274,10 +284,10 @@ def write_plan(
     return file
 
 
-def write_report(folder: RunFolder, report: Report) -> None:
-    """Write `report.json` and `report.md`."""
+def write_report(folder: RunFolder, report: Report, section: Sequence[str] = ()) -> None:
+    """Write `report.json` and `report.md`, with a further section if there is one."""
     folder.write_json("report.json", report.as_json())
-    folder.write_text("report.md", markdown(report))
+    folder.write_text("report.md", "\n".join([markdown(report), *section]))
 
 
 def write_candidates(folder: RunFolder, settled: SettledScene, candidates: CandidateSet) -> None:
@@ -296,9 +306,41 @@ def write_measured(folder: RunFolder, measured: MeasuredSet, before: MeasuredSet
         write_measurability(folder, measured.M)
 
 
+def write_features(folder: RunFolder, scene: Scene, part: Workpiece) -> tuple[str, ...]:
+    """Write features and characteristics, if the scene has any; return doubts about them.
+
+    Raises:
+        CellError: if they do not fit the part.
+    """
+    plan = plan_inspection(scene, part)
+    if plan is None:
+        return ()
+    folder.write_json(FEATURES, plan.as_json())
+    if (source := qif_source(scene)) is not None:
+        folder.write_bytes(QIF_SOURCE, [source])
+    return (*plan.notes, *(f"not supported: {sentence}" for sentence in plan.unsupported))
+
+
+def write_uncertainty(
+    folder: RunFolder, scene: Scene, problem: SelectionProblem, plan: ConnectedPlan
+) -> InspectionResult | None:
+    """Predict and write the uncertainty of the characteristics of a run; None without them."""
+    path = folder.path / FEATURES
+    if not path.is_file():
+        return None
+    prediction, options = problem.prediction, scene.plan
+    found = predict_plan(
+        parsed(InspectionPlan, path.read_bytes(), path), ply.mesh((folder.path / "reference.ply").read_bytes()),
+        plan.driven.T_object_poses, prediction.scanner, prediction.casters,
+        (options.pose_sd_mm, options.pose_sd_deg), Path(scene.part.source).stem,
+    )  # fmt: skip
+    folder.write_json(PREDICTED, found.as_json())
+    return found
+
+
 def copy_meshes(folder: RunFolder, run: Run) -> None:
-    """Copy the meshes of another run, to the byte."""
-    for name in ("reference.ply", "planning.ply"):
+    """Copy the meshes of another run, and the features of its part, to the byte."""
+    for name in ("reference.ply", "planning.ply", *filter(run.has, (FEATURES, QIF_SOURCE))):
         shutil.copyfile(run.folder / name, folder.path / name)
         folder.adopt(name)
 

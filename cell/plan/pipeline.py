@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 
 from cell import scanners
 from cell.errors import FileError, UnreachableError, UsageError
+from cell.inspect.inspection import FEATURES
+from cell.inspect.results import markdown
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan import evaluation, files, selection
@@ -209,6 +211,8 @@ def sample_part(session: PlanSession, settled: SettledScene) -> tuple[PartSurfac
         reference, faces = settled.part.reference, settled.settings.faces
         planning = decimate(reference, faces)
         files.write_meshes(session.folder, reference, planning)
+        for sentence in files.write_features(session.folder, settled.scene, settled.part):
+            session.note(sentence)
         session.plots.part_ready(session.folder.path)
         viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
         rows = surface_samples(settled.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
@@ -391,13 +395,32 @@ def finish(
     measured, motion = time_motion(session, problem, plan)
     files.queue_motion(session, motion)
     optional = _optional_results(session, problem, plan)
+    section: list[str] = []
+    if (session.folder.path / FEATURES).is_file():
+        with session.stage("predict the uncertainty"):
+            section = _predicted_section(session, settled, problem, plan)
     with session.stage("report"):
         report = evaluation.plan_report(settled, planning, problem, plan, measured, motion, optional)
         report = report.model_copy(update=dict(annotations))
         file = files.write_plan(session.folder, report, plan, problem.candidates, problem.world)
-        files.write_report(session.folder, report)
+        files.write_report(session.folder, report, section)
         files.finish_page(session, report, file, motion, problem.world)
     return report
+
+
+def _predicted_section(
+    session: PlanSession, settled: SettledScene, problem: SelectionProblem, plan: ConnectedPlan
+) -> list[str]:
+    """Predict the uncertainty of the characteristics, note unmet demands, and return the section of the report."""
+    if not callable(getattr(problem.prediction.scanner, "sigma", None)):
+        session.note("the uncertainty of characteristics is not predicted: the scanner has no model of its noise")
+        return []
+    found = files.write_uncertainty(session.folder, settled.scene, problem, plan)
+    assert found is not None, "the run has features"
+    for each in found.characteristics:
+        if each.cause:
+            session.note(f"{each.name}: {each.cause}")
+    return markdown(found)
 
 
 def _optional_results(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> OptionalResults:

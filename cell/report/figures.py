@@ -21,7 +21,7 @@ from cell.view.cell_picture import best_view, draw_cell
 from cell.view.page import PageScene, first_half, three_js
 from cell.view.palette import AXES, BETWEEN, BLUE, ORANGE, PURPLE, VERMILION
 from cell.view.pieces import CellGeometry, cell_of_run, with_ignored_faces
-from cell.view.run_pages import PARTIAL_PAGE_FILE, part_surface
+from cell.view.run_pages import PARTIAL_PAGE_FILE, VIEWS_LAYER, part_surface
 from cell.view.surface import Canvas, canvas_of, measure_samples
 from cell.world.prediction import held_out_samples
 from planner.kinematics.reach import Verdict
@@ -251,7 +251,8 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
     surface = measure_samples(canvas.samples, T_object_poses, scanner, (), seen)
     pictures.draw_part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
     shown = part_surface(canvas, surface, regions=scene.regions)
-    stage = PageScene(f"View plan of {scene.part.name}", with_ignored_faces(cell, canvas.mesh, canvas.ignored), [shown])
+    counted = with_ignored_faces(cell, canvas.mesh, canvas.ignored)
+    stage = PageScene(f"View plan of {scene.part.name}", counted, [shown], opens_on=VIEWS_LAYER)
     (path.parent / PARTIAL_PAGE_FILE).write_text(first_half(stage), encoding="utf-8")
 
 

@@ -93,10 +93,11 @@ def table(report: ExecutionReport) -> list[tuple[str, str]]:
 def _surface_row(status: str, faces: int, deviation: ExecutedDeviation | None) -> str:
     if deviation is None:
         return status
-    return (
+    text = (
         f"{faces:,} faces, deviation {deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm, "
         f"largest {deviation.max_mm:.3f} mm"
     )
+    return f"{text}; {deviation.edge_note}" if deviation.edge_note else text
 
 
 def source_title(source: str) -> str:
@@ -113,8 +114,9 @@ def _opening(report: ExecutionReport) -> str:
     if deviation is not None:
         text += (
             f" The surface made from them deviates from the reference by {deviation.rms_mm:.3f} mm rms; 95 % of it "
-            f"by no more than {deviation.quantile_95_mm:.3f} mm."
+            f"by no more than {deviation.quantile_95_mm:.3f} mm"
         )
+        text += f" ({deviation.edge_note})." if deviation.edge_note else "."
     else:
         text += f" No surface: {report.surface.status}."
     kept = not_registered(report)
@@ -152,6 +154,7 @@ def _settings(report: ExecutionReport) -> list[str]:
         ("views", f"{report.n_views} of the plan's {report.n_views_planned}{view}"),
         ("points", f"{report.n_points:,}, {html.escape(report.source)}"),
         ("scanner", f"{settings.scanner}{grid}, {settings.rays_per_scan:,} rays a scan"),
+        *([("as-built mesh", html.escape(settings.actual))] if settings.actual else []),
         ("driver", settings.driver),
         ("range noise (1 sigma)", f"{_or_off(settings.range_noise_mm, 'mm')}{model}"),
         (

@@ -29,6 +29,7 @@ import numpy as np
 from cell.errors import FileError, SceneError
 from cell.robot import model as robot
 from cell.robot.model import mesh_of
+from cell.robot.refusals import describe_refusal
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import axis_name
 from planner.values import Floats, Value
@@ -296,8 +297,8 @@ def lever_arms(model: mujoco.MjModel, tool: Tool, table: TableLoad | None = None
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
-    except ValueError as error:  # with several lines
-        raise FileError(f"the arm's model has no dynamics ({' '.join(str(error).split())}); {_REMEDY}") from error
+    except ValueError as error:
+        raise FileError(f"the arm's model has no dynamics ({describe_refusal(error)}); {_REMEDY}") from error
 
 
 def _numbers(spec: mujoco.MjSpec, name: str) -> Floats:

@@ -100,7 +100,7 @@ def spec() -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise FileError(f"{path} cannot be read as an MJCF: {error}; install scan-cell again") from error
+        raise FileError(f"{path} cannot be read as an MJCF; install scan-cell again") from error
 
 
 def load() -> mujoco.MjModel:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cell import files
 from cell.errors import FileError, SceneError
+from cell.robot.refusals import describe_refusal
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ _FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: in ROS-
 _VECTORS = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "box": ("size",), "mesh": ("scale",)}
 _MAX_LINK = 50.0  # m; a larger distance between joints is in millimetres
 _MAX_SHAPE = 10.0  # radius of a shape in lengths of the arm
+_MAX_ANGLE = 2 * np.pi + 0.01
 _MAX_TURNS = 5.0  # range of an axis
 _MAX_SPEED = 60.0  # rad/s; the fastest small arms reach 15
 _MAX_STL_FACES = 200_000  # of MuJoCo's reader
@@ -120,6 +122,7 @@ def read_robot(
     import mujoco
 
     root = _parse(path)
+    _require_numbers(root, path)
     extras, assets = UrdfExtras(), dict[str, bytes]()
     if root.tag == "robot":
         extras = _prepare_urdf(root, path, packages or {}, assets)
@@ -137,21 +140,9 @@ def read_robot(
                 _require_only_kinematics(spec.compiler)
                 model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} is not accepted by MuJoCo: {describe_refusal(error)}; correct it") from error
+        cause = describe_refusal(error, has_lines=root.tag == "mujoco")  # a URDF was written anew without comments
+        raise FileError(f"{path} cannot be read as an arm: {cause}") from error
     return _select_arm(path, model, base, flange, extras, messages)
-
-
-_REFUSALS = {
-    "inertia must satisfy": "an inertia is impossible, no principal moment may exceed the sum of the other two",
-    "mass and inertia of moving bodies": "a moving body has no mass or inertia; give it an <inertial>",
-}
-
-
-def describe_refusal(error: ValueError) -> str:
-    """Return why MuJoCo refuses a description: common causes with their cure, and the element that it names."""
-    words = " ".join(str(error).split())
-    cause = next((ours for theirs, ours in _REFUSALS.items() if theirs in words), "")
-    return cause + words.partition("Element")[2].join((" (element", ")")) if cause else words
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -177,6 +168,31 @@ def _parse(path: Path) -> ElementTree.Element:
                     f"xacro {path.name} > robot.urdf"
                 )
     return root
+
+
+def _require_numbers(root: ElementTree.Element, path: Path) -> None:
+    """Refuse numbers that MuJoCo ignores: NaN, and a reversed range, after which a joint is endless.
+
+    Raises:
+        SceneError: with the element.
+    """
+    for element in root.iter():
+        where = f"{path}: <{element.tag}>" + (f" '{element.get('name')}'" if element.get("name") else "")
+        for key, value in element.attrib.items():
+            if element.tag != "limit" and key != "name" and "nan" in value.lower().split():
+                raise SceneError(f"{where} has NaN in '{key}'; give a number")
+        low, high = _range_of(element)
+        if element.tag == "joint" and low > high:
+            raise SceneError(f"{where} has the reversed range {low:g} to {high:g}; correct it")
+
+
+def _range_of(joint: ElementTree.Element) -> tuple[float, float]:
+    """Return the `range` of an MJCF joint; zeros if it has none."""
+    try:
+        low, high = map(float, joint.get("range", "0 0").split())
+    except ValueError:  # of the syntax, which MuJoCo reports
+        return 0.0, 0.0
+    return low, high
 
 
 MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
@@ -259,7 +275,7 @@ def _select_arm(
     anchors = model.body_pos[model.jnt_bodyid[chain]]
     if np.abs(anchors).max() > _MAX_LINK:
         raise SceneError(
-            f"{path}: joints are {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one seems to be in "
+            f"{path}: joints are {np.abs(anchors).max():.3g} m apart; a URDF is in metres, this one seems to be in "
             "millimetres"
         )
     velocity = np.array([extras.velocity.get(name, np.inf) for name in names])
@@ -321,10 +337,19 @@ def _prepare_urdf(
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
+        for inertial in link.findall("inertial"):  # kinematics uses neither mass nor inertia, and files have wrong ones
+            inertial.clear()
+            ElementTree.SubElement(inertial, "mass", value="1")
+            ElementTree.SubElement(inertial, "inertia", ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
     for element in root.iter():
         for key in _VECTORS.get(element.tag, ()):
-            for word in element.get(key, "").split():
-                _to_number(word, key, element, path)
+            numbers = [_to_number(word, key, element, path) for word in element.get(key, "").split()]
+            if key == "rpy" and max(map(abs, numbers), default=0) > _MAX_ANGLE:
+                raise SceneError(
+                    f"{path}: rpy of <{element.tag}> is '{element.get(key)}', more than a turn; angles are in radians, "
+                    "these seem to be in degrees"
+                )
+    _require_tree(root, path)
     for mesh in root.iter("mesh"):
         file = _mesh_file(mesh.get("filename", ""), path, packages)
         if converted := _as_obj(file):
@@ -342,9 +367,12 @@ def _prepare_urdf(
     options = {"fusestatic": "false", "discardvisual": "true", "strippath": "false", "balanceinertia": "true"}
     options |= {"boundmass": str(MIN_MASS), "boundinertia": str(MIN_INERTIA)}
     compiler.attrib.update(options)
-    extras = UrdfExtras()
+    extras, names = UrdfExtras(), set[str]()
     for joint in root.findall("joint"):
         name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
+        if name in names:
+            raise SceneError(f"{path}: the name '{name}' is given to two joints; rename one")
+        names.add(name)
         if limit is not None and (speed := _number(limit, "velocity", 0.0, path)) > 0.0:
             extras.velocity[name] = speed
         if mimic is not None:
@@ -369,8 +397,50 @@ def _prepare_urdf(
     return extras
 
 
+_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+
+
+def _require_tree(root: ElementTree.Element, path: Path) -> None:
+    """Refuse a URDF whose links and joints are no tree with unique names.
+
+    Raises:
+        SceneError: with the name.
+    """
+    links = [link.get("name", "") for link in root.findall("link")]
+    joints = root.findall("joint")
+    for kind, names in (("link", links), ("joint", [joint.get("name", "") for joint in joints])):
+        repeated = next((name for name in names if names.count(name) > 1 or not name), None)
+        if repeated is not None:
+            problem = f"two {kind}s named '{repeated}'" if repeated else f"a {kind} without a name"
+            raise SceneError(f"{path} has {problem}; give each {kind} its own name")
+    parents: dict[str, str] = {}
+    for joint in joints:
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        if kind not in _JOINT_TYPES:
+            known = ", ".join(_JOINT_TYPES)
+            raise SceneError(f"{path}: the joint '{name}' has the type '{kind}'; supported are {known}")
+        ends = [
+            (found.get("link", "") if (found := joint.find(end)) is not None else "") for end in ("parent", "child")
+        ]
+        for end, link in zip(("parent", "child"), ends, strict=True):
+            if link not in links:
+                raise SceneError(f"{path}: the joint '{name}' has the {end} '{link}', which is none of the links")
+        if ends[1] in parents:
+            raise SceneError(
+                f"{path}: the link '{ends[1]}' is the child of two joints, '{parents[ends[1]]}' and '{name}'; links "
+                "must form a tree"
+            )
+        parents[ends[1]] = name
+    roots = [link for link in links if link not in parents]
+    if len(roots) != 1:
+        raise SceneError(
+            f"{path} has {len(roots)} links without a parent ({_listed(roots)}); links must form one tree: connect "
+            "them by fixed joints"
+        )
+
+
 def _as_obj(file: Path) -> bytes | None:
-    """Return a mesh as OBJ; None if MuJoCo reads the file: OBJ, and binary STL of at most 200,000 faces.
+    """Return a mesh as OBJ with triangles; None if MuJoCo reads the file: binary STL of at most 200,000 faces.
 
     Raises:
         FileError: if the format is not supported, or the mesh is broken.
@@ -378,8 +448,6 @@ def _as_obj(file: Path) -> bytes | None:
     from cell.part import mesh_files  # with its readers only for an arm from a file
 
     suffix = file.suffix.lower()
-    if suffix == ".obj":
-        return None
     if suffix in (".stp", ".step") or suffix not in mesh_files.SUFFIXES:
         raise FileError(
             f"{file} is a robot's mesh of the kind '{file.suffix}', which is not supported; convert it to binary STL"

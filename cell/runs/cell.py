@@ -100,6 +100,10 @@ class RunCell:
         T: Floats = np.linalg.inv(self.scene.T_base_object) @ T_part_scanner
         return T
 
+    def with_surface(self, mesh: TriangleMesh) -> RunCell:
+        """Return the cell with another surface of the part [m], object frame, for the rays of scans."""
+        return replace(self, reference=mesh, part_caster=EmbreeRayCaster(mesh.vertices, mesh.faces))
+
     def about_part(self, T: Floats) -> RunCell:
         """Return the cell for a part that is displaced: its surroundings are moved by (4, 4) T in the object frame.
 

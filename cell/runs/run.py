@@ -335,6 +335,11 @@ class Run(ArtefactFolder):
             raise FileError(f"{self.folder / 'cell.xml'} is damaged: MuJoCo cannot compile it; plan again") from error
 
     @property
+    def plan_pose_sd(self) -> tuple[float, float]:
+        """Standard deviations of executed poses that the plan assumes [mm, deg]."""
+        return self.scene.plan.pose_sd_mm, self.scene.plan.pose_sd_deg
+
+    @property
     def coverage(self) -> Coverage:
         """The coverage of the views; `visible` and `coverable` are fractions of the surface."""
         return self.plan.coverage

@@ -28,6 +28,7 @@ from pydantic import (
 from pydantic_core import from_json
 
 from cell.errors import FileError
+from cell.formatting import percent
 from cell.runs.former_keys import FORMER_SCHEMAS, with_present_keys
 from cell.scene.model import PlanKeys, RegionTargets
 from cell.scene.validation import error_messages
@@ -759,6 +760,7 @@ class ExecutedSettings(JsonTable):
 
     driver: str | None = Field(description="URL of the controller")
     view: int | None = Field(description="the only executed view; null: all")
+    actual: str | None = Field(default=None, description="as-built mesh that the simulated rays hit; null: the nominal")
     range_noise_mm: float | None = Field(description="standard deviation along each ray")
     pose_error_mm: float | None = Field(description="standard deviation of the executed position along each axis")
     pose_error_deg: float | None = Field(description="standard deviation of the executed rotation about each axis")
@@ -888,6 +890,14 @@ class ExecutedDeviation(SurfaceDeviation):
         default=None, description="with the band about sharp edges; null if the other numbers include it"
     )
     edge_share: float = Field(default=0.0, description="share of the area in the band about sharp edges")
+
+    @property
+    def edge_note(self) -> str:
+        """The numbers with the band about sharp edges; "" if there is none."""
+        if self.with_edges is None:
+            return ""
+        rms, largest = self.with_edges.rms_mm, self.with_edges.max_mm
+        return f"with the {percent(self.edge_share)} about sharp edges {rms:.3f} mm rms, largest {largest:.3f} mm"
 
 
 class ExecutedMotion(JsonTable):

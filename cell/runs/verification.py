@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
+from scipy.spatial import cKDTree
 
 from cell.errors import FileError
 from cell.robot import model as robot
@@ -159,7 +160,7 @@ def sha256_of(path: Path) -> str:
 
 
 _MODEL_TOLERANCE = 1e-8  # m, and of a quaternion's entries
-_DIRECTIONS = np.random.default_rng(0).standard_normal((64, 3))  # in which hulls are compared
+_MESH_TOLERANCE = 1e-6  # m, of the vertices of hulls
 
 
 def verify_cell(run: Run, resolved: ResolvedScene) -> World:
@@ -200,8 +201,9 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
     """Return the first difference between the checked model and the one compiled again; "" if there is none."""
     recompiled = world.model
     placed = {"object": world.T_base_object, "post": world.T_base_post(world.T_base_object)}
-    if (checked.nbody, checked.ngeom, checked.njnt) != (recompiled.nbody, recompiled.ngeom, recompiled.njnt):
-        return "it has other bodies, shapes or axes"
+    counts = [(each.nbody, each.ngeom, each.njnt, each.nsite) for each in (checked, recompiled)]
+    if counts[0] != counts[1]:
+        return "it has other bodies, shapes, axes or frames"
     if not np.array_equal(np.sort(checked.exclude_signature), np.sort(recompiled.exclude_signature)):
         return "it has other allowed collision pairs"
     for number in range(recompiled.nbody):
@@ -228,11 +230,27 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
             return f"the shape '{two.name}' differs"
         same = not (_differs(one.pos, two.pos) or _is_rotated(one.quat, two.quat) or _differs(one.size, two.size))
         if two.dataid[0] >= 0:
-            same = not _differs(_support(checked, number), _support(recompiled, number), 1e-6)
+            same = not _is_moved(robot.mesh_of(checked, number).vertices, robot.mesh_of(recompiled, number).vertices)
         if not same:
             return f"the shape '{two.name}' has another pose or size"
-    home = checked.key("home").qpos
-    return "home has another pose" if _differs(home, world.mimic_joints.qpos(world.home[:ARM_AXES])) else ""
+    for number in range(recompiled.nsite):
+        one, two = checked.site(number), recompiled.site(number)
+        same = (one.name, *one.bodyid) == (two.name, *two.bodyid)
+        if not same or _differs(one.pos, two.pos) or _is_rotated(one.quat, two.quat):
+            return f"the frame '{two.name}' differs"
+    if _numerics(checked) != _numerics(recompiled):
+        return "its custom numbers differ"
+    home = world.mimic_joints.qpos(world.home[:ARM_AXES])
+    keys = [checked.key(number) for number in range(checked.nkey)]
+    if len(keys) != 1 or keys[0].name != "home" or _differs(keys[0].qpos, home):
+        return "home is missing or has another pose"
+    return ""
+
+
+def _numerics(model: mujoco.MjModel) -> list[tuple[str, list[float]]]:
+    """Return names and values of the custom numbers of a model: limits, sizes and clearances of the arm."""
+    numbers = (model.numeric(index) for index in range(model.nnumeric))
+    return sorted((each.name, np.round(each.data, 9).tolist()) for each in numbers)
 
 
 def _differs(one: Floats, two: Floats, near: float = _MODEL_TOLERANCE) -> bool:
@@ -259,9 +277,10 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
     return quat
 
 
-def _support(model: mujoco.MjModel, geom: int) -> Floats:
-    """Return the extent of a mesh's hull in several directions, in the frame of its body [m]."""
-    return np.asarray((robot.mesh_of(model, geom).vertices @ _DIRECTIONS.T).max(axis=0))
+def _is_moved(one: Floats, two: Floats) -> bool:
+    """Return whether two sets of points (N, 3) [m] differ, in the frame of the same body."""
+    off = [cKDTree(a).query(b)[0].max() for a, b in ((one, two), (two, one))]
+    return bool(max(off) > _MESH_TOLERANCE)
 
 
 _JSON_TOLERANCE = 1e-7

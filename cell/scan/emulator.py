@@ -26,12 +26,14 @@ from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
 from drivers.emulated.stations import ModbusStation, SerialStation, Station
+from drivers.emulated.ur import UrController, UrServer
 from drivers.errors import DriverError
 from drivers.limits import Limits
 from drivers.setpoints import AXES, Floats, SetPoints, from_rad, to_rad
 from drivers.simulated_controller import IdealPlant, PlantFactory
 
-PROTOCOLS = ("serial", "modbus", "modbus-rtu")
+PROTOCOLS = ("serial", "modbus", "modbus-rtu", "ur")
+UR_SCRIPT_OFFSET = 2  # of the script port below the RTDE port, as on a real controller
 SCHEMA = "cell-emulator-state/1"
 
 
@@ -64,6 +66,9 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         DriverFailureError: if the line is not available, or the controller cannot start.
         FileError: if a file cannot be read or written.
     """
+    if protocol == "ur":
+        _emulate_ur(options, arm, announce)
+        return
     try:
         faults = parse_faults(options.faults)
     except DriverError as error:
@@ -107,6 +112,35 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
             while not (state := endpoint.tick()).at_rest:
                 wire_clock.wait(0.005)
         memory.close(state)
+
+
+def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], None]) -> None:
+    """Serve a controller of Universal Robots until Ctrl-C."""
+    default = EmulateOptions()
+    for name in ("link", "baud", "unit", "plant", "state", "log", "time_scale", "faults"):
+        if getattr(options, name) != getattr(default, name):
+            raise UsageError(f"cell emulate ur has no --{name.replace('_', '-')}; omit it")
+    if len(arm.home) != AXES:
+        raise UsageError(
+            "cell emulate ur: a controller of Universal Robots turns no rotary table; choose another --run"
+        )
+    home = arm.home if options.start_deg is None else np.radians(options.start_deg)
+    clock = RealTimeClock()
+    try:
+        server = UrServer(
+            UrController(to_rad(from_rad(home)), clock),
+            options.port,
+            max(options.port - UR_SCRIPT_OFFSET, 0),
+        )
+    except DriverError as error:
+        raise DriverFailureError(str(error)) from error
+    try:
+        announce(server.url)
+        server.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
+    except KeyboardInterrupt:
+        pass  # the usual end
+    finally:
+        server.close()
 
 
 def load_arm(run_folder: Path | None, plant: str) -> Arm:

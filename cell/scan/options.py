@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
@@ -16,6 +17,7 @@ from cell.scene.validation import error_messages
 from planner.errors import PlannerError
 
 _ERRORS, REAL_ROBOT, _POINTS = "Errors of the execution", "Real controllers", "Source of the points"
+_ACTUAL = "As-built part"
 _POSE_ERROR = Option(
     "Error of the executed pose, standard deviation along and about each axis: the scanner deviates from the reported "
     "pose.",
@@ -76,10 +78,23 @@ class ScanOptions(CurrentFiles):
         None
     )
     close_holes: Annotated[bool, Option("Close the holes of the surface; the added faces are marked.")] = False
+    actual: Annotated[
+        Path | None,
+        Field(strict=False),
+        Option(
+            "Mesh file of the part as it is built, in the frame of the nominal part: simulated rays hit it, and the "
+            "nominal part remains the reference. Default: the nominal part.",
+            _ACTUAL,
+            metavar="FILE",
+        ),
+    ] = None
+    actual_units: Annotated[
+        Units | None, Option("Unit of the as-built mesh, for formats that do not state it.", _ACTUAL)
+    ] = None
     acquire: Annotated[
         str,
         Option(
-            "Source of the points: simulated; files:DIR, one PLY, XYZ or PCD per view, named by its number; "
+            "Source of the points: simulated; files:DIR, one PLY, PCD or text file per view, named by its number; "
             "command:CMD, called with view, pose and the file to write; or another installed source.",
             _POINTS,
             metavar="SOURCE",
@@ -128,7 +143,16 @@ class ScanOptions(CurrentFiles):
         errors = self.range_noise_mm or self.pose_error_mm or self.pose_error_deg or self.noise != "none"
         if not self.is_simulated and errors:
             raise ValueError(f".acquire is {self.acquire!r}; noise and pose errors apply to simulated points only")
+        if not self.is_simulated and self.actual is not None:
+            raise ValueError(f".acquire is {self.acquire!r}: a real scanner measures the real part; omit --actual")
+        if self.actual is None and self.actual_units is not None:
+            raise ValueError(".actual_units is the unit of --actual, which is missing")
         return self
+
+    @field_validator("actual")
+    @classmethod
+    def _make_absolute(cls, given: Path | None) -> Path | None:
+        return None if given is None else given.expanduser().absolute()
 
     @field_validator("confirm_motion")
     @classmethod

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell.errors import FileError
+from cell.inspect.inspection import QIF_SOURCE, read_plan
 from cell.metrology import point_files
+from cell.metrology.inspect import inspect_execution
 from cell.metrology.reconstruct import REACH, Reconstruction, reconstruct
 from cell.report import scan_report
 from cell.runs.cell import RunCell, read_cell, scanner_of
@@ -174,7 +176,8 @@ def report_execution(
         settings = _settings(cell, recorded.manifest.options, seed)
         made = _execution_report(run, cell, settings, results, plan.stops, motion)
         folder.write_json("report.json", made.as_json())
-        folder.write_text("report.md", scan_report.markdown(made))
+        section = _inspect(session, run, recorded)
+        folder.write_text("report.md", "\n".join([scan_report.markdown(made), *section]))
         _draw(run, folder, cell, recorded, made, results)
     return made
 
@@ -223,6 +226,20 @@ def _measure(
             mesh = point_files.mesh_ply(surface.mesh, surface.closed, deviation.at_vertices, source)
             folder.write_bytes("mesh.ply", mesh)
     return ExecutionResults(scans, unusable, merged, achieved, surface, deviation, doubts)
+
+
+def _inspect(session: Session[ExecutionFolder], run: Run, recorded: RecordedExecution) -> list[str]:
+    """Inspect the features of a run, if it has any; return the section of the report."""
+    plan, folder = read_plan(run), session.folder
+    if plan is None or not recorded.scans:
+        return []
+    done = inspect_execution(plan, run.reference, run, recorded)
+    source = run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None
+    done.write(lambda name, content: folder.write_bytes(name, [content]), source)
+    for each in done.result.characteristics:
+        if each.verdict == "fail":
+            session.note(f"{each.name} fails: {each.value:.4f} {each.unit}, U {each.expanded_uncertainty:.4f}")
+    return done.section()
 
 
 def options_of(recorded: RecordedExecution) -> ScanOptions:
@@ -563,7 +580,7 @@ def _execution_report(
 
 def _settings(cell: RunCell, options: Mapping[str, object], seed: int) -> ExecutedSettings:
     """Return the settings of an execution from the options of its manifest; a missing option is null."""
-    names = ("driver", "view", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
+    names = ("driver", "view", "actual", "range_noise_mm", "pose_error_mm", "pose_error_deg", "register", "close_holes")
     return ExecutedSettings.model_validate(
         {
             **{name: options.get(name) for name in names},

@@ -5,7 +5,6 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
@@ -17,7 +16,7 @@ from cell.runs.cell import RunCell, read_cell
 from cell.runs.current_scene import require_current_scene
 from cell.runs.run import RecordedExecution, Run, read_execution, read_manifest, reading
 from cell.runs.verification import VerifiedPlan, verify_plan
-from cell.scan import safety
+from cell.scan import as_built, safety
 from cell.scan.execution import (
     ExecutionPlan,
     driver_errors,
@@ -36,7 +35,6 @@ from cell.scan.resume import plan_resume
 from cell.scan.safety import ApprovedMotion
 from cell.scan.table_turns import remove_whole_turns
 from cell.session import Session
-from cell.world.embree import EmbreeRayCaster
 from drivers.contract import Driver
 from drivers.setpoints import from_rad, to_deg
 from planner.geometry.mesh import TriangleMesh
@@ -80,7 +78,9 @@ def execute_run(
     cell = _cell(run, options, true_part)
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
-    stored = options.as_manifest() | {"scanner": cell.scanner_keys.as_json()}
+    actual = as_built.read_actual(options)
+    as_built.require_clearance(actual, cell, run.proven_clearance)
+    stored = options.as_manifest() | {"scanner": cell.scanner_keys.as_json()} | as_built.manifest_keys(actual)
     if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
         session.note(warning)
     make_acquisition(stored, cell, seed, run.folder, session.note)  # fails before there is an execution
@@ -210,7 +210,7 @@ def _cell(run: Run, options: ScanOptions, true_part: TriangleMesh | None) -> Run
     cell = read_cell(run, options.resolution_deg)
     if true_part is None:
         return cell
-    return replace(cell, reference=true_part, part_caster=EmbreeRayCaster(true_part.vertices, true_part.faces))
+    return cell.with_surface(true_part)
 
 
 def _approved(verified: VerifiedPlan, plan: ExecutionPlan, view: int | None) -> ApprovedMotion:

@@ -25,6 +25,7 @@ from cell.errors import UsageError
 from cell.runs.cell import RunCell
 from cell.runs.run import SIMULATED
 from cell.scan.acquisition import Acquired, Context, View
+from cell.scan.as_built import as_scanned
 from cell.scan.options import ScanOptions
 from cell.session import Stream, random_stream
 from cell.world import virtual_scan
@@ -188,7 +189,7 @@ def simulated(argument: str, context: Context) -> Simulated:
     rng = random_stream(context.seed, Stream.PART_DISTURBANCE, zlib.crc32(scene.T_base_object.tobytes()))
     options = ScanOptions.from_manifest(context.options)
     errors = Disturbance.from_options(options, scene.T_object_centre[:3, 3], rng)
-    return Simulated(context.cell, errors, context.seed)
+    return Simulated(as_scanned(context.cell, context.options), errors, context.seed)
 
 
 def lines_per_step(T: Floats) -> int:

@@ -1,9 +1,9 @@
 """Base class and number types of the tables of a scene file."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -28,11 +28,32 @@ Triple = Annotated[tuple[float, float, float], Field(strict=False)]
 Units = Literal["mm", "cm", "m", "um", "in"]
 
 
+LARGEST_LENGTH_MM = 1e6
+"""Largest length in a scene file: a kilometre."""
+
+_LARGEST = 1e12  # of the other numbers, such as jerks; squares and products of them are finite
+
+
 class Table(BaseModel):
-    """A frozen table of the scene file: known keys only, strict types, finite numbers."""
+    """A frozen table of the scene file: known keys only, strict types, finite numbers of a moderate size."""
 
     # Validators are built at the first use: `--help` needs only the fields.
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+    @model_validator(mode="after")
+    def _no_extreme_number(self) -> Self:
+        for key, value in self:
+            limit = LARGEST_LENGTH_MM if key.endswith("_mm") else _LARGEST
+            if (largest := _largest_number(value)) > limit:
+                raise ValueError(f".{key} has the number {largest:g}; it must be between -{limit:g} and {limit:g}")
+        return self
+
+
+def _largest_number(value: Any) -> float:
+    """Return the largest magnitude of the finite floating-point numbers in a value; 0 without any."""
+    if isinstance(value, float):
+        return abs(value) if abs(value) < float("inf") else 0.0  # a jerk without a limit
+    return max(map(_largest_number, value), default=0.0) if isinstance(value, tuple) else 0.0
 
 
 def existing_file(path: str, info: ValidationInfo, kind: str = "a mesh file") -> str:

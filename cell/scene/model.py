@@ -31,6 +31,7 @@ from pydantic_core import ErrorDetails, InitErrorDetails
 from cell.errors import SceneError
 from cell.part.formats import own_units, units_problem
 from cell.scene import sensors
+from cell.scene.features import FeatureTable, Inspection, feature_contradiction
 from cell.scene.fields import (
     AxisLimits,
     Four,
@@ -965,7 +966,7 @@ class Picture(Table):
 class Scene(Table):
     """A scene; `Scene()` is the built-in one."""
 
-    clearance_mm: NotNegative = 10.0
+    clearance_mm: Annotated[NotNegative, Field(le=1000.0)] = 10.0
     arrival_mm: Positive | None = None
     path_tolerance_mm: Positive | None = None
     robot: Robot = Field(default_factory=Robot)
@@ -980,6 +981,8 @@ class Scene(Table):
     plan: PlanSettings = Field(default_factory=PlanSettings)
     region: Annotated[tuple[Region, ...], Field(strict=False)] = ()
     setup: Annotated[tuple[Setup, ...], Field(strict=False)] = ()
+    feature: Annotated[tuple[FeatureTable, ...], Field(strict=False)] = ()
+    inspection: Inspection = Field(default_factory=Inspection)
     picture: Picture = Field(default_factory=Picture)
 
     def require_fixed_part(self, feature: str) -> None:
@@ -1006,6 +1009,13 @@ class Scene(Table):
         if problem := _region_contradiction(regions, info.data.get("plan")):
             raise ValueError(problem)
         return regions
+
+    @field_validator("feature")
+    @classmethod
+    def _has_known_datums(cls, features: tuple[FeatureTable, ...]) -> tuple[FeatureTable, ...]:
+        if problem := feature_contradiction(features):
+            raise ValueError(problem)
+        return features
 
     @field_validator("setup")
     @classmethod

@@ -38,7 +38,10 @@ function ramp(colours, share) {
 THREE.Object3D.DefaultUp.set(0, 0, 1);
 const canvas = byId("scene");
 let renderer = null;
-try { renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true }); } catch {
+try {
+  renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+  renderer.localClippingEnabled = true;
+} catch {
   data.problems.unshift("This browser cannot draw in three dimensions (WebGL is missing or disabled); all numbers are on this page.");
 }
 const scene = new THREE.Scene();
@@ -61,7 +64,8 @@ function apply(name) {
   const entry = shown.get(name);
   for (const object of entry.objects) object.visible = entry.visible && entry.opacity > 0;
   for (const material of entry.materials) {
-    material.opacity = entry.opacity * (material.userData.opacity ?? 1);
+    material.opacity = entry.opacity * (entry.fade ?? 1) * (material.userData.opacity ?? 1);
+    if (material.uniforms) material.uniforms.opacity.value = material.opacity;
     material.transparent = material.opacity < 1;
     material.depthWrite = material.opacity > 0.95;
     material.needsUpdate = true;
@@ -114,21 +118,55 @@ for (const piece of data.pieces) {
 const T_base_object = matrix(data.T_base_object);
 const onPart = fixed(matrix(data.T_part_link_base));  // objects that turn with the part, in base with a rotary table at 0
 links[data.part_link].add(onPart);
-const palette = Object.fromEntries(Object.entries(data.palette).map(([name, colours]) => [name, colours.map(rgb)]));
-const surfaces = data.surfaces.map((surface) => {
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(places(surface.mesh.vertices), 3));
-  geometry.setIndex(new THREE.BufferAttribute(numbers(surface.mesh.faces), 1));
+const { ramps: namedRamps, ...flat } = data.palette;
+const coloursOf = (table) => Object.fromEntries(Object.entries(table).map(([name, colours]) => [name, colours.map(rgb)]));
+const palette = { ...coloursOf(flat), ramps: { length: coloursOf(namedRamps.length), signed: coloursOf(namedRamps.signed) } };
+const SHADER = {
+  // The colour of the legend, at most a fifth darker where the surface turns away.
+  vertexShader: `#include <clipping_planes_pars_vertex>
+    attribute vec3 colour; varying vec3 vColour; varying vec3 vNormal;
+    void main() {
+      #include <begin_vertex>
+      vec4 mvPosition = modelViewMatrix * vec4(transformed, 1.0);
+      vColour = colour; vNormal = normalize(normalMatrix * normal);
+      gl_Position = projectionMatrix * mvPosition;
+      #include <clipping_planes_vertex>
+    }`,
+  fragmentShader: `#include <clipping_planes_pars_fragment>
+    uniform float opacity; varying vec3 vColour; varying vec3 vNormal;
+    void main() {
+      #include <clipping_planes_fragment>
+      gl_FragColor = vec4(vColour * (0.8 + 0.2 * abs(normalize(vNormal).z)), opacity);
+    }`,
+};
+function facetted(geometry) {
+  // Three corners per face; smooth normals except across edges of more than 35 deg.
   geometry.computeVertexNormals();
-  const colours = new THREE.BufferAttribute(new Float32Array(geometry.attributes.position.array.length), 3);
-  geometry.setAttribute("color", colours);
-  const material = new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide });
-  const group = fixed(T_base_object);
-  group.add(new THREE.Mesh(geometry, material));
+  const made = geometry.toNonIndexed(), place = made.attributes.position.array, normal = made.attributes.normal.array;
+  const a = new THREE.Vector3(), b = new THREE.Vector3(), c = new THREE.Vector3();
+  for (let i = 0; i < place.length; i += 9) {
+    a.fromArray(place, i); b.fromArray(place, i + 3).sub(a); c.fromArray(place, i + 6).sub(a);
+    b.cross(c).normalize();
+    for (let k = i; k < i + 9; k += 3) {
+      if (normal[k] * b.x + normal[k + 1] * b.y + normal[k + 2] * b.z < 0.82) { normal[k] = b.x; normal[k + 1] = b.y; normal[k + 2] = b.z; }
+    }
+  }
+  return made;
+}
+const surfaces = data.surfaces.map((surface) => {
+  const indexed = new THREE.BufferGeometry(), corners = numbers(surface.mesh.faces);
+  indexed.setAttribute("position", new THREE.BufferAttribute(places(surface.mesh.vertices), 3));
+  indexed.setIndex(new THREE.BufferAttribute(corners, 1));
+  const geometry = facetted(indexed);
+  const colours = new THREE.BufferAttribute(new Float32Array(3 * corners.length), 3);
+  geometry.setAttribute("colour", colours);
+  const material = new THREE.ShaderMaterial({ ...SHADER, uniforms: { opacity: { value: 1 } }, side: THREE.DoubleSide, clipping: true });
+  const group = fixed(T_base_object), mesh = new THREE.Mesh(geometry, material);
+  group.add(mesh);
   onPart.add(group);
   register(surface.name, group, [material]);
-  const layers = surface.layers.map((layer) => ({ ...layer, values: numbers(layer.values), colours: layer.named.map((each) => rgb(each[1])) }));
-  return { name: surface.name, colours, layers, count: colours.count };
+  const layers = surface.layers.map((layer) => ({ ...layer, given: layer.limits, values: numbers(layer.values), colours: layer.named.map((each) => rgb(each[1])) }));
+  return { name: surface.name, colours, layers, corners, geometry, mesh, material };
 });
 const choices = [];
 for (const surface of surfaces) {
@@ -138,7 +176,9 @@ for (const surface of surfaces) {
   }
   choices.push({ surface, layer: null, title: `${surface.name[0].toUpperCase()}${surface.name.slice(1)} without colours` });
 }
-let choice = choices[0], chosen = -1;
+let choice = choices.find((each) => each.title === data.opens_on) ?? choices[0], chosen = -1;
+let bands = 0, tolerance = 0;  // number of colour steps, 0: smooth; half of the green band in mm, 0: none
+const ramps = { length: Object.keys(palette.ramps.length)[0], signed: Object.keys(palette.ramps.signed)[0] };
 
 function bits(layer, vertex) {
   let count = 0;
@@ -146,27 +186,59 @@ function bits(layer, vertex) {
   return count;
 }
 const seenBy = (layer, vertex, view) => (layer.values[vertex * layer.width + (view >> 3)] >> (view & 7)) & 1;
-function colourOf(vertex) {
+const isField = (layer) => layer && (layer.kind === "length" || layer.kind === "signed");
+/** Value of a field [mm], or NaN. */
+const fieldValue = (layer, vertex) => layer.values[vertex] === 65535 ? NaN : layer.low + layer.values[vertex] * layer.step;
+function fieldColour(layer, value) {
+  if (Number.isNaN(value)) return layer.kind === "signed" ? palette.measured[0] : palette.open[0];
+  if (layer.kind === "signed" && tolerance && Math.abs(value) <= tolerance) return palette.cloud[0];
+  let share = (value - layer.limits[0]) / (layer.limits[1] - layer.limits[0]);
+  if (bands) share = (Math.min(Math.floor(Math.min(Math.max(share, 0), 1) * bands), bands - 1) + 0.5) / bands;
+  return ramp(palette.ramps[layer.kind][ramps[layer.kind]], share);
+}
+/** Category of a vertex: number of views, whether the selected view measures it, or a named class. */
+function category(vertex) {
   const { layer, single } = choice;
-  if (!layer) return palette.plain[0];
-  if (layer.kind === "views") {
-    if (single && chosen >= 0) return seenBy(layer, vertex, chosen) ? palette.seen[3] : palette.measured[0];
-    const count = bits(layer, vertex);
-    return count ? palette.seen[Math.min(count, palette.seen.length) - 1] : palette.open[0];
-  }
-  const value = layer.values[vertex];
+  if (layer.kind === "named") return layer.values[vertex];
+  return single && chosen >= 0 ? seenBy(layer, vertex, chosen) : bits(layer, vertex);
+}
+function categoryColour(value) {
+  const { layer, single } = choice;
   if (layer.kind === "named") return layer.colours[value];
-  if (value === 65535) return layer.kind === "signed" ? palette.measured[0] : palette.open[0];
-  const real = layer.low + value * layer.step;
-  return ramp(layer.kind === "signed" ? palette.signed : palette.lengths, (real - layer.limits[0]) / (layer.limits[1] - layer.limits[0]));
+  if (single && chosen >= 0) return value ? palette.seen[3] : palette.measured[0];
+  return value ? palette.seen[Math.min(value, palette.seen.length) - 1] : palette.open[0];
 }
 function paint() {
   if (!choice) return;
-  const { surface } = choice;
-  for (let i = 0; i < surface.count; i++) surface.colours.array.set(colourOf(i), 3 * i);
-  surface.colours.needsUpdate = true;
+  const { surface, layer } = choice, { corners, colours } = surface, array = colours.array;
+  for (let i = 0; i < corners.length; i += 3) {
+    if (isField(layer)) {
+      for (let k = i; k < i + 3; k++) array.set(fieldColour(layer, fieldValue(layer, corners[k])), 3 * k);
+      continue;
+    }
+    let colour = palette.plain[0];
+    if (layer) {  // one colour per face: the category of two corners, or the middle one
+      const [a, b, c] = [category(corners[i]), category(corners[i + 1]), category(corners[i + 2])];
+      colour = categoryColour(a === b || a === c ? a : b === c ? b : Math.max(Math.min(a, b), Math.min(Math.max(a, b), c)));
+    }
+    for (let k = i; k < i + 3; k++) array.set(colour, 3 * k);
+  }
+  colours.needsUpdate = true;
   for (const other of surfaces) { shown.get(other.name).visible = other === surface; apply(other.name); ticks.get(other.name)?.(); }
   legend();
+}
+/** Shares of the area of a field in equal classes between its limits; values beyond count in the outer classes. */
+function areasOfField(surface, layer, classes) {
+  const counts = new Float64Array(classes), place = surface.geometry.attributes.position.array;
+  const a = new THREE.Vector3(), b = new THREE.Vector3(), c = new THREE.Vector3();
+  for (let i = 0; i < surface.corners.length; i += 3) {
+    a.fromArray(place, 3 * i); b.fromArray(place, 3 * i + 3).sub(a); c.fromArray(place, 3 * i + 6).sub(a);
+    const value = (fieldValue(layer, surface.corners[i]) + fieldValue(layer, surface.corners[i + 1]) + fieldValue(layer, surface.corners[i + 2])) / 3;
+    if (Number.isNaN(value)) continue;
+    const share = (value - layer.limits[0]) / (layer.limits[1] - layer.limits[0]);
+    counts[Math.min(Math.max(Math.floor(share * classes), 0), classes - 1)] += b.cross(c).length();
+  }
+  return counts;
 }
 function legend() {
   const box = byId("legend"), { layer, single } = choice;
@@ -186,24 +258,49 @@ function legend() {
   } else if (layer.kind === "named") {
     for (const [name, colour] of layer.named) swatch(colour, name);
   } else {
-    const signed = layer.kind === "signed", bar = element("div", undefined, box, "bar");
-    bar.style.background = `linear-gradient(to right, ${data.palette[signed ? "signed" : "lengths"].join(",")})`;
-    const ends = element("div", undefined, box, "ends");
-    const digits = (value) => Number(value.toPrecision(4)).toString();
-    for (const share of [0, 0.5, 1]) element("span", digits(layer.limits[0] + share * (layer.limits[1] - layer.limits[0])), ends);
-    const row = element("div", undefined, box, "row");
-    layer.limits.forEach((limit, k) => {
-      const input = element("input", undefined, row);
-      input.type = "number"; input.step = "any"; input.value = digits(limit);
-      input.setAttribute("aria-label", k ? "upper limit in mm" : "lower limit in mm");
-      input.onchange = () => {
-        const value = Number(input.value), limits = [...layer.limits];
-        limits[k] = value;
-        if (Number.isFinite(value) && limits[0] < limits[1]) layer.limits = limits;
-        paint();
-      };
+    const signed = layer.kind === "signed", digits = (value) => Number(value.toPrecision(4)).toString();
+    const [low, high] = layer.limits, css = (colour) => `rgb(${colour.map((part) => Math.round(255 * part)).join(",")})`;
+    const histogram = element("canvas", undefined, box, "histogram"), pen = histogram.getContext("2d");
+    histogram.width = 280; histogram.height = 60;
+    histogram.setAttribute("aria-label", "Area over the value");
+    const counts = areasOfField(choice.surface, layer, 70), most = Math.max(...counts, 1e-30);
+    pen.fillStyle = "#8884"; pen.fillRect(0, 0, 280, 60);
+    counts.forEach((count, k) => {
+      pen.fillStyle = css(fieldColour(layer, low + (k + 0.5) / 70 * (high - low)));
+      pen.fillRect(4 * k, 60 - 58 * count / most, 4, 58 * count / most);
     });
+    const bar = element("div", undefined, box, "bar"), stops = [];
+    for (let k = 0; k < 140; k++) stops.push(`${css(fieldColour(layer, low + (k + 0.5) / 140 * (high - low)))} ${k / 1.4}% ${(k + 1) / 1.4}%`);
+    bar.style.background = `linear-gradient(to right, ${stops.join(",")})`;
+    const ends = element("div", undefined, box, "ends");
+    for (const share of [0, 0.5, 1]) element("span", digits(low + share * (high - low)), ends);
+    const number = (parent, value, label, change) => {
+      const input = element("input", undefined, parent);
+      input.type = "number"; input.step = "any"; input.value = value;
+      input.setAttribute("aria-label", label); input.title = label;
+      input.onchange = () => { change(Number(input.value)); paint(); };
+    };
+    let row = element("div", undefined, box, "row");
+    layer.limits.forEach((limit, k) => number(row, digits(limit), k ? "upper limit in mm" : "lower limit in mm", (value) => {
+      const limits = [...layer.limits];
+      limits[k] = value;
+      if (Number.isFinite(value) && limits[0] < limits[1]) layer.limits = limits;
+    }));
     element("span", "mm", row);
+    element("button", "reset", row).onclick = () => { layer.limits = layer.given; paint(); };
+    row = element("div", undefined, box, "row");
+    const select = element("select", undefined, row);
+    select.setAttribute("aria-label", "palette");
+    for (const name of Object.keys(palette.ramps[layer.kind])) element("option", name, select).selected = name === ramps[layer.kind];
+    select.onchange = () => { ramps[layer.kind] = select.value; paint(); };
+    number(row, bands, "colour steps, 0: smooth", (value) => { bands = Math.min(Math.max(Math.round(value) || 0, 0), 40); });
+    element("span", "steps", row);
+    if (signed) {
+      row = element("div", undefined, box, "row");
+      element("span", "\u00b1", row);
+      number(row, tolerance, "half of the tolerance in mm, 0: none", (value) => { tolerance = Math.max(value || 0, 0); });
+      element("span", "mm tolerance, green inside", row);
+    }
     swatch(data.palette[signed ? "measured" : "open"][0], signed ? "closes a hole, not measured" : "not measured");
   }
   if (layer.note) element("div", layer.note, box, "note");
@@ -249,20 +346,31 @@ if (data.cloud) {
   register("points", group, [material]);
   shown.get("points").visible = false;
 }
+/** Show the numbers of views that do not overlap; the selected view's first. */
+function placeSigns() {
+  if (!data.views.length || !shown.get("views").visible) return;
+  const height = 0.017 * canvas.clientHeight / (2 * Math.tan((camera.fov * Math.PI) / 360)) * camera.projectionMatrix.elements[5] * Math.tan((camera.fov * Math.PI) / 360);
+  const taken = [], order = [...signs.keys()].sort((a, b) => (b === chosen) - (a === chosen) || a - b);
+  for (const k of order) {
+    const [x, y, depth] = onScreen(sources[k].clone().applyMatrix4(onPart.matrixWorld));
+    const free = depth < 1 && taken.every(([u, v]) => Math.abs(u - x) > 1.5 * height || Math.abs(v - y) > height);
+    signs[k].visible = k === chosen || (free && !crowded);
+    if (signs[k].visible) taken.push([x, y]);
+  }
+}
 function select(view, go = true) {
   chosen = view;
   byId("numbers").querySelectorAll("button").forEach((button, k) => button.classList.toggle("on", k === view));
   const list = byId("selected");
   list.replaceChildren();
   beam.visible = view >= 0;
-  if (crowded) signs.forEach((sign, k) => { sign.visible = k === view; });
   byId("inset").hidden = view < 0;
   byId("commands").replaceChildren();
   if (view >= 0) {
     for (const text of data.views[view].commands) element("code", command(text), byId("commands"));
     for (const [name, value] of data.views[view].rows) { element("dt", name, list); element("dd", value, list); }
     beam.geometry.setFromPoints(pyramid(poses[view], 1));
-    if (go && data.motion && data.views[view].time !== null) moment(data.views[view].time, false);
+    if (go && data.motion && data.views[view].time !== null) { play(false); moment(data.views[view].time, false); }
   }
   if (choice?.single) paint();
   redraw();
@@ -280,9 +388,39 @@ function moment(t, free = true) {
   for (let k = 0; k < n; k++) q.push(motion.q[n * high - n + k] + share * (motion.q[n * high + k] - motion.q[n * high - n + k]));
   pose(q);
   byId("time").value = now;
+  showAxes(q);
   const at = data.views.findIndex((view) => view.time !== null && Math.abs(view.time - now) < 0.02);
   byId("moment").textContent = `${now.toFixed(2)} s of ${motion.t[motion.t.length - 1].toFixed(2)} s` + (at < 0 ? "" : `, view ${data.views[at].number}`);
   if (free && at >= 0 && at !== chosen && playing) select(at, false);
+}
+const axisRows = [];
+const T_link_scanner = matrix(data.arm.T_link_scanner);
+/** Pose of the scanner in base with the arm as drawn. */
+const scannerPose = () => { links[6].updateWorldMatrix(true, false); return links[6].matrixWorld.clone().multiply(T_link_scanner); };
+function showAxes(q) {
+  if (!axisRows.length) {
+    q.forEach((_, k) => {
+      const row = element("div", undefined, byId("axes"), "axis"), [low, high] = data.arm.limits[k];
+      element("span", k < 6 ? `A${k + 1}` : `E${k - 5}`, row);
+      const rail = element("div", undefined, row, "rail"), mark = element("i", undefined, rail);
+      rail.title = `${(low * 180 / Math.PI).toFixed(1)} to ${(high * 180 / Math.PI).toFixed(1)} deg`;
+      axisRows.push({ mark, value: element("span", undefined, row, "value"), low, high });
+    });
+  }
+  axisRows.forEach(({ mark, value, low, high }, k) => {
+    mark.style.left = `${100 * Math.min(Math.max((q[k] - low) / (high - low), 0), 1)}%`;
+    value.textContent = `${(q[k] * 180 / Math.PI).toFixed(2)}\u00b0`;
+  });
+  const place = new THREE.Vector3().setFromMatrixPosition(scannerPose());
+  byId("tcp").textContent = `scanner at ${place.toArray().map((each) => (1000 * each).toFixed(1)).join(", ")} mm in base`;
+}
+function drawPath() {
+  // Path of the scanner during the motion, at up to 1500 moments.
+  const every = Math.max(1, Math.floor(motion.t.length / 1500)), points = [];
+  for (let k = 0; k < motion.t.length; k += every) { pose(motion.q, n * k); scene.updateMatrixWorld(true); points.push(new THREE.Vector3().setFromMatrixPosition(scannerPose())); }
+  const line = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color: data.palette.chosen[0] }));
+  scene.add(line);
+  register("path", line, []);
 }
 function play(on) {
   if (!motion) return;
@@ -307,6 +445,8 @@ for (const sentence of data.notes) element("p", sentence, byId("messages"), "not
 choices.forEach((each, k) => { element("option", each.title, byId("colour")).value = k; });
 byId("of-colour").hidden = !choices.some((each) => each.layer);
 byId("colour").onchange = () => { choice = choices[byId("colour").value]; paint(); };
+if (motion) drawPath();
+byId("of-axes").hidden = !motion;
 const ticks = new Map();
 for (const [name, entry] of shown) {
   const row = element("div", undefined, byId("shown"), "row"), label = element("label", undefined, row), box = element("input", undefined, label);
@@ -333,6 +473,8 @@ if (motion) {
   byId("time").max = motion.t[motion.t.length - 1];
   byId("time").oninput = () => { play(false); moment(Number(byId("time").value)); };
   byId("play").onclick = () => play(!playing);
+  byId("before").onclick = () => step(-1);
+  byId("after").onclick = () => step(1);
 }
 
 // ---- camera control -----------------------------------------------------------------------------------------------
@@ -353,9 +495,45 @@ canvas.onpointermove = (event) => {
   redraw();
 };
 canvas.onpointerup = (event) => { if (dragged && moved < 4) pick(event); dragged = null; };
-canvas.onwheel = (event) => { event.preventDefault(); orbit.distance = Math.min(Math.max(orbit.distance * Math.exp(event.deltaY * 0.001), 0.02), 30); redraw(); };
+canvas.onwheel = (event) => {  // towards the place under the pointer
+  event.preventDefault();
+  const before = orbit.distance;
+  orbit.distance = Math.min(Math.max(before * Math.exp(event.deltaY * 0.001), 0.02), 30);
+  const scale = 2 * Math.tan((camera.fov * Math.PI) / 360) * (before - orbit.distance) / canvas.clientHeight;
+  const [x, y] = onScreen(orbit.target), axis = (k) => new THREE.Vector3().setFromMatrixColumn(camera.matrix, k);
+  orbit.target.addScaledVector(axis(0), (event.offsetX - x) * scale).addScaledVector(axis(1), (y - event.offsetY) * scale);
+  redraw();
+};
 canvas.oncontextmenu = (event) => event.preventDefault();
-addEventListener("keydown", (event) => { if (event.key === " " && !/INPUT|SELECT|BUTTON/.test(event.target.tagName)) { event.preventDefault(); play(!playing); } });
+canvas.ondblclick = (event) => { const hit = surfaceAt(event.offsetX, event.offsetY); if (hit) { orbit.target.copy(hit.point); redraw(); } };
+const STANDARD = { front: [-90, 0], back: [90, 0], left: [180, 0], right: [0, 0], top: [-90, 89], iso: [-45, 35] };
+function standardView(name) { [orbit.azimuth, orbit.elevation] = STANDARD[name].map((angle) => (angle * Math.PI) / 180); redraw(); }
+function step(by) {
+  if (!data.views.length) return;
+  const count = data.views.length;
+  select(chosen < 0 ? (by > 0 ? 0 : count - 1) : (chosen + by + count) % count);
+}
+function foldPanel() { document.body.classList.toggle("folded"); resize(); }
+const KEYS = {
+  " ": () => play(!playing), ArrowRight: () => step(1), ArrowLeft: () => step(-1), f: () => lookAt(data.camera.part, data.camera.part_distance),
+  c: () => lookAt(data.camera.target, data.camera.distance), t: () => standardView("top"), p: foldPanel, Escape: () => globalThis.endTool?.(),
+};
+addEventListener("keydown", (event) => {
+  if (/INPUT|SELECT|TEXTAREA/.test(event.target.tagName) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.tagName === "BUTTON" && event.key === " ") return;
+  const digit = Number(event.key);
+  const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key] ?? (digit >= 1 && digit <= data.views.length ? () => select(digit - 1) : null);
+  if (act) { event.preventDefault(); act(); }
+});
+/** Place, face and surface under a point of the canvas, or undefined. */
+function surfaceAt(x, y) {
+  const ray = new THREE.Raycaster();
+  ray.setFromCamera(new THREE.Vector2(2 * x / canvas.clientWidth - 1, 1 - 2 * y / canvas.clientHeight), camera);
+  const visible = surfaces.filter((surface) => shown.get(surface.name).visible);
+  const hits = visible.flatMap((surface) => ray.intersectObject(surface.mesh).map((hit) => ({ ...hit, surface })));
+  const clip = surfaces[0]?.material.clippingPlanes?.[0];
+  return hits.filter((hit) => !clip || clip.distanceToPoint(hit.point) >= 0).sort((a, b) => a.distance - b.distance)[0];
+}
 function onScreen(place) {
   const at = place.clone().project(camera);
   return [(at.x + 1) / 2 * canvas.clientWidth, (1 - at.y) / 2 * canvas.clientHeight, at.z];
@@ -373,12 +551,49 @@ function pick(event) {
   if (best >= 0) select(best);
 }
 function lookAt(target, distance) { orbit.target.set(...target); orbit.distance = distance; redraw(); }
-element("button", "whole cell", byId("of-camera")).onclick = () => lookAt(data.camera.target, data.camera.distance);
-element("button", "part", byId("of-camera")).onclick = () => lookAt(data.camera.part, data.camera.part_distance);
+element("button", "cell", byId("of-camera")).onclick = KEYS.c;
+element("button", "part", byId("of-camera")).onclick = KEYS.f;
+for (const name of Object.keys(STANDARD)) element("button", name, byId("of-camera")).onclick = () => standardView(name);
+byId("fold").onclick = foldPanel;
+
+// ---- free side of the part, and fading of what stands before it ------------------------------------------------------
+const partCentre = new THREE.Vector3(...data.camera.part), partRadius = data.camera.part_distance / 4.4;
+const obstacles = () => [...shown].filter(([name]) => !surfaces.some((surface) => surface.name === name) && !["floor", "views", "points", "path"].includes(name));
+function blockers(from) {
+  // Names of what the lines from a place to the part pass: to its centre and to four points around it.
+  const toward = partCentre.clone().sub(from), ray = new THREE.Raycaster(), found = new Set();
+  const side = new THREE.Vector3(0, 0, 1).cross(toward).normalize(), up = toward.clone().cross(side).normalize();
+  for (const [a, b] of [[0, 0], [0.6, 0], [-0.6, 0], [0, 0.6], [0, -0.6]]) {
+    const aim = partCentre.clone().addScaledVector(side, a * partRadius).addScaledVector(up, b * partRadius).sub(from);
+    ray.set(from, aim.clone().normalize());
+    ray.far = Math.max(aim.length() - 0.7 * partRadius, 0);
+    for (const [name, entry] of obstacles()) {
+      if (entry.visible && entry.opacity > 0 && entry.objects.some((object) => ray.intersectObject(object, true).some((hit) => hit.object.isMesh))) found.add(name);
+    }
+  }
+  return found;
+}
+const eyeAt = (azimuth, elevation, distance) => new THREE.Vector3(Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)).multiplyScalar(distance);
+function chooseFreeSide() {
+  scene.updateMatrixWorld(true);
+  const turns = [0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6].map((k) => (k * Math.PI) / 6), start = orbit.azimuth;
+  const counts = turns.map((turn) => blockers(eyeAt(start + turn, orbit.elevation, data.camera.part_distance).add(partCentre)).size);
+  orbit.azimuth = start + turns[counts.indexOf(Math.min(...counts))];
+}
+let fadeTimer = 0;
+function fadeBlockers() {
+  const near = orbit.distance < 2 * data.camera.part_distance && orbit.target.distanceTo(partCentre) < 2 * partRadius;
+  const found = near && surfaces.length ? blockers(camera.position) : new Set();
+  for (const [name, entry] of obstacles()) {
+    const fade = found.has(name) ? 0.15 : 1;
+    if ((entry.fade ?? 1) !== fade) { entry.fade = fade; apply(name); }
+  }
+}
 function resize() {
   renderer?.setPixelRatio(Math.min(devicePixelRatio, 2));
   renderer?.setSize(innerWidth, innerHeight, false);
-  const [right, below] = innerWidth > 760 ? [330, 0] : [0, 0.42 * innerHeight + 70];  // of panel and player
+  const folded = document.body.classList.contains("folded"), wide = innerWidth > 760;
+  const [right, below] = wide ? [folded ? 0 : 330, 0] : [0, folded ? 70 : 0.42 * innerHeight + 70];  // of panel and player
   camera.fov = 2 * Math.atan(0.315 * innerHeight / Math.min(innerWidth - right, innerHeight - below)) * 180 / Math.PI;
   camera.aspect = innerWidth / innerHeight;
   camera.setViewOffset(innerWidth, innerHeight, right / 2, below / 2, innerWidth, innerHeight);
@@ -387,11 +602,15 @@ function resize() {
 function draw() {
   if (!renderer) return;
   const { target, distance, azimuth, elevation } = orbit;
-  camera.position.set(Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)).multiplyScalar(distance).add(target);
+  camera.position.copy(eyeAt(azimuth, elevation, distance)).add(target);
   camera.lookAt(target);
   camera.near = distance / 100; camera.updateProjectionMatrix(); camera.updateMatrixWorld();
   lamp.position.copy(camera.position).add(new THREE.Vector3(0, 0, 0.4 * distance));
   lamp.target.position.copy(target); lamp.target.updateMatrixWorld();
+  placeSigns();
+  clearTimeout(fadeTimer);
+  fadeTimer = setTimeout(fadeBlockers, 150);
+  globalThis.placeFlags?.();
   renderer.setClearColor(getComputedStyle(document.documentElement).getPropertyValue("--back").trim());
   renderer.render(scene, camera);
   if (chosen < 0) return;
@@ -431,8 +650,13 @@ function frame() {
 addEventListener("resize", resize);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 pose(data.arm.home);
-if (choice) paint();
+if (data.is_alone) {
+  for (const [name, entry] of obstacles()) { entry.visible = false; apply(name); ticks.get(name)?.(); }
+  for (const name of ["floor", "views", "path"]) if (shown.has(name)) { shown.get(name).visible = false; apply(name); ticks.get(name)?.(); }
+}
+if (choice) { byId("colour").value = choices.indexOf(choice); paint(); }
 if (motion) moment(0);
+if (data.camera.starts_at_part && data.camera.is_free) chooseFreeSide();
 resize();
 requestAnimationFrame(frame);
 

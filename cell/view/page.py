@@ -73,7 +73,9 @@ class PageScene:
         title: heading.
         cell: robot and surroundings.
         surfaces: the part and the measured surface; the first layer of the first surface is selected.
-        toward: (3,) unit vector from the part to the initial camera, object frame; None shows the whole cell.
+        toward: (3,) unit vector from the part to the initial camera, object frame; None: the page chooses a free side.
+        opens_on: title of the selected layer; "" shows the whole cell in the first layer.
+        is_alone: True if only the surface is visible at first, without robot and surroundings.
         watch_stamp: version of a page that is updated repeatedly, or "".
     """
 
@@ -81,6 +83,8 @@ class PageScene:
     cell: CellGeometry
     surfaces: Sequence[PageSurface] = ()
     toward: Floats | None = None
+    opens_on: str = ""
+    is_alone: bool = False
     watch_stamp: str = ""
 
 
@@ -134,7 +138,8 @@ def first_half(scene: PageScene) -> str:
 
 def second_half(contents: PageContents) -> str:
     """Return the HTML text from the contents on."""
-    rest = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=resource_text("page.js"))
+    script = resource_text("page.js") + resource_text("tools.js")
+    rest = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=script)
     return _dump_json(_contents_json(contents)) + rest
 
 
@@ -202,7 +207,7 @@ def _scene_json(scene: PageScene) -> Mapping[str, object]:
         mesh = scene.surfaces[0].mesh
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         middle = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3]
-        part_distance = 2.6 * mesh.diagonal
+        part_distance = 2.2 * mesh.diagonal
     placed = place_pieces(cell.pieces, cell.arm.link_poses(cell.arm.home))
     arm = [piece.vertices for piece in placed if piece.name in ("robot", "scanner")]
     points = np.concatenate([*arm, [middle - part_distance / 4, middle + part_distance / 4]])
@@ -218,7 +223,8 @@ def _scene_json(scene: PageScene) -> Mapping[str, object]:
             "distance": _DISTANCE_FACTOR * float(np.linalg.norm(high - low)),
             "azimuth": float(np.arctan2(eye[1], eye[0])),
             "elevation": float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))),
-            "starts_at_part": scene.toward is not None,
+            "starts_at_part": bool(scene.toward is not None or scene.opens_on),
+            "is_free": scene.toward is None,
             "part": middle,
             "part_distance": part_distance,
         },
@@ -241,8 +247,7 @@ _PALETTE = {
     "open": [palette.OPEN],
     "seen": palette.SEEN,
     "measured": [palette.MEASURED],
-    "lengths": palette.LENGTHS,
-    "signed": palette.SIGNED,
+    "ramps": palette.RAMPS,
     "plain": ["#d6ccb8"],
     "chosen": [palette.ORANGE],
     "cloud": [palette.GREEN],

@@ -34,6 +34,22 @@ LENGTHS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a
 SIGNED = ("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7", "#f4a582", "#d6604d", "#b2182b", "#67001f")
 """Blue for missing material, red for excess material (RdBu of ColorBrewer)."""
 
+RAMPS = {
+    "length": {
+        "viridis": LENGTHS,
+        "cividis": ("#00204d", "#31446b", "#666970", "#958f78", "#cbba69", "#ffea46"),
+        "magma": ("#000004", "#3b0f70", "#8c2981", "#de4968", "#fe9f6d", "#fcfdbf"),
+    },
+    "signed": {
+        "blue to red": SIGNED,
+        "purple to orange": ("#2d004b", "#542788", "#8073ac", "#b2abd2", "#f7f7f7", "#fdb863", "#e08214", "#b35806",
+                             "#7f3b08"),
+        "teal to brown": ("#003c30", "#01665e", "#35978f", "#80cdc1", "#f5f5f5", "#dfc27d", "#bf812d", "#8c510a",
+                          "#543005"),
+    },
+}  # fmt: skip
+"""Colour scales of lengths and of signed lengths by name; the first of each is the default."""
+
 Material = Literal["orange", "anthracite", "aluminium", "painted", "fixture", "surface", "floor"]
 MATERIALS: dict[Material, tuple[float, float, float]] = {
     "orange": (0.95, 0.33, 0.02),

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from cell.part.cad import CadFace, CadModel, SurfaceKind
@@ -17,7 +19,7 @@ from cell.view.palette import REASONS, rgb
 from cell.view.pieces import ArmChain, CellGeometry
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
-from planner.values import Floats
+from planner.values import Floats, Ints
 
 _COLOURS = dict(zip(SurfaceKind, ("#d9dee3", *REASONS[1:6]), strict=True))
 _SIDES = ((-60, 35), (120, 35), (-60, -35), (120, -35))
@@ -41,22 +43,53 @@ def part_page(part: Workpiece, rows: list[tuple[str, str]], next_command: str) -
         rows: names and numbers in the panel.
         next_command: suggested next command.
     """
-    mesh, layers, faces = thin_mesh(part.reference), [], ""
-    if (cad := part.cad) is not None:
-        mesh, face_of_vertex = _split_faces(part.reference, cad)
-        layers = [_kind_layer(cad, part.reference, face_of_vertex)]
-        areas, centres = cad.areas(part.reference), cad.centres(part.reference)
-        numbered = [
-            {"number": face.number, "rows": face_rows(face, area, centre)}
-            for face, area, centre in zip(cad.faces, areas, centres, strict=True)
-        ]
-        content = {"faces": numbered, "face_of_vertex": pack_array(face_of_vertex, "u4")}
-        faces = f'<script type="application/json" id="faces">{json.dumps(content)}</script>\n'
-        faces += f"<script>\n{resource_text('part.js')}</script>\n"
-    scene = PageScene(part.name, _empty_cell(), [PageSurface("part", mesh, layers)], rays.direction(-60, 35))
     notes = [finding.sentence for finding in part.findings]
-    page = render_page(scene, PageContents(rows=rows, notes=notes, next_commands=[next_command]))
-    return page.replace("</body>", f"{faces}</body>")
+    if (cad := part.cad) is None:
+        scene = PageScene(
+            part.name, _empty_cell(), [PageSurface("part", thin_mesh(part.reference))], rays.direction(-60, 35)
+        )
+        return render_page(scene, PageContents(rows=rows, notes=notes, next_commands=[next_command]))
+    mesh, face_of_vertex = split_vertices(part.reference, cad.of_triangle)
+    layers = [_kind_layer(cad, part.reference, face_of_vertex)]
+    areas, centres = cad.areas(part.reference), cad.centres(part.reference)
+    items = [
+        {"number": face.number, "rows": face_rows(face, area, centre)}
+        for face, area, centre in zip(cad.faces, areas, centres, strict=True)
+    ]
+    return selectable_page(part.name, mesh, layers, "Face", items, face_of_vertex, rows, notes, [next_command])
+
+
+def selectable_page(
+    title: str,
+    mesh: TriangleMesh,
+    layers: Sequence[Layer],
+    what: str,
+    items: Sequence[Mapping[str, object]],
+    item_of_vertex: Ints,
+    rows: Sequence[tuple[str, str]],
+    notes: Sequence[str] = (),
+    next_commands: Sequence[str] = (),
+) -> str:
+    """Return a page on which a click selects an item of the surface and shows its rows.
+
+    Args:
+        title: of the page.
+        mesh: surface with separate vertices for each item.
+        layers: of the surface.
+        what: name of an item.
+        items: with `number` and `rows`.
+        item_of_vertex: (V,) index in `items`.
+        rows: names and numbers in the panel.
+        notes: sentences.
+        next_commands: suggested next commands.
+    """
+    scene = PageScene(title, _empty_cell(), [PageSurface("part", mesh, layers)], rays.direction(-60, 35))
+    page = render_page(scene, PageContents(rows=rows, notes=notes, next_commands=next_commands))
+    content = {"what": what, "faces": items, "face_of_vertex": pack_array(item_of_vertex, "u4")}
+    text = json.dumps(content).replace("<", "\\u003c")
+    script = f'<script type="application/json" id="faces">{text}</script>\n'
+    script += f"<script>\n{resource_text('part.js')}</script>\n"
+    return page.replace("</body>", f"{script}</body>")
 
 
 def faces_picture(path: Path, part: Workpiece, cad: CadModel) -> None:
@@ -67,35 +100,50 @@ def faces_picture(path: Path, part: Workpiece, cad: CadModel) -> None:
         part: object frame.
         cad: its faces.
     """
-    mesh, normals = part.reference, part.reference.normals
-    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     brightness = 1 - 0.12 * (cad.of_triangle % 2)  # distinguishes neighbours of one kind
     colours = np.array([rgb(_COLOURS[face.kind]) for face in cad.faces])[cad.of_triangle] * brightness[:, None]
+    draw_numbered(path, part.reference, cad.of_triangle, colours, [str(face.number) for face in cad.faces])
+
+
+def draw_numbered(
+    path: Path, mesh: TriangleMesh, item_of_triangle: NDArray[np.integer], colours: Floats, labels: Sequence[str]
+) -> None:
+    """Draw a surface from four sides with labels on its items.
+
+    Args:
+        path: PNG to write.
+        mesh: surface.
+        item_of_triangle: (F,) index in `labels`; -1 for none.
+        colours: (F, 3) red, green, blue.
+        labels: of the items.
+    """
+    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     sheet = Image.new("RGB", (2 * _PANEL[0], 2 * _PANEL[1]), "white")
     for k, (azimuth, elevation) in enumerate(_SIDES):
         camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, elevation), _PANEL, parallel=True)
-        drawn, _ = rays.render_mesh(camera, caster, normals, colours)
+        drawn, _ = rays.render_mesh(camera, caster, mesh.normals, colours)
         hits = caster.first_hit(*camera.rays())
-        seen = np.where(hits.face >= 0, cad.of_triangle[hits.face], -1).reshape(_PANEL[::-1])
-        places, numbers = [], []
+        seen = np.where(hits.face >= 0, item_of_triangle[hits.face], -1).reshape(_PANEL[::-1])
+        places, names = [], []
         for index in np.unique(seen[seen >= 0]).tolist():
             row, column = np.nonzero(seen == index)
             nearest = np.argmin(np.hypot(row - row.mean(), column - column.mean()))
             places.append((column[nearest], row[nearest]))
-            numbers.append(str(cad.faces[index].number))
-        rays.draw_labels(drawn, np.array(places, dtype=np.float64), numbers, 11)
+            names.append(labels[index])
+        if places:
+            rays.draw_labels(drawn, np.array(places, dtype=np.float64), names, 11)
         sheet.paste(drawn, (k % 2 * _PANEL[0], k // 2 * _PANEL[1]))
     rays.save_png(sheet, path)
 
 
-def _split_faces(mesh: TriangleMesh, cad: CadModel) -> tuple[TriangleMesh, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """Return the surface with separate vertices for each CAD face, and the face of each vertex."""
-    corners = np.stack([np.repeat(cad.of_triangle, 3).astype(np.int64), mesh.faces.ravel()], axis=1)
+def split_vertices(mesh: TriangleMesh, item_of_triangle: NDArray[np.integer]) -> tuple[TriangleMesh, Ints]:
+    """Return the surface with separate vertices for each item, and the item of each vertex."""
+    corners = np.stack([np.repeat(item_of_triangle, 3).astype(np.int64), mesh.faces.ravel()], axis=1)
     own, place = np.unique(corners, axis=0, return_inverse=True)
     return TriangleMesh(mesh.vertices[own[:, 1]], place.reshape(-1, 3).astype(np.int32)), own[:, 0]
 
 
-def _kind_layer(cad: CadModel, mesh: TriangleMesh, face_of_vertex: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Layer:
+def _kind_layer(cad: CadModel, mesh: TriangleMesh, face_of_vertex: Ints) -> Layer:
     """Return the layer of kinds of surface."""
     order, areas, counts = list(SurfaceKind), cad.areas(mesh), cad.counts()
     kind = np.array([order.index(face.kind) for face in cad.faces])
@@ -118,6 +166,7 @@ def _empty_cell() -> CellGeometry:
         axis=np.tile([0.0, 0.0, 1.0], (6, 1)),
         T_link_scanner=np.eye(4),
         home=np.zeros(6),
+        limits=np.tile([-np.pi, np.pi], (6, 1)),
     )
     return CellGeometry((), arm, np.eye(4), np.zeros((4, 3)), 0, np.eye(4))
 

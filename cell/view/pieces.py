@@ -66,6 +66,7 @@ class ArmChain(Value):
         axis: of the joint, through the origin of the body's frame and in this frame.
         T_link_scanner: pose of the scanner in link_6 [m].
         home: joint angles [rad].
+        limits: smallest and largest joint angles [rad].
     """
 
     T_parent_link: Annotated[Floats, "k 4 4"]
@@ -76,6 +77,7 @@ class ArmChain(Value):
     axis: Annotated[Floats, "k 3"]
     T_link_scanner: Annotated[Floats, "4 4"]
     home: Annotated[Floats, "_"]
+    limits: Annotated[Floats, "_ 2"]
 
     def link_poses(self, q: Floats) -> Floats:
         """Return (1 + k, 4, 4) the poses of base and bodies in base [m] at (axes,) joint angles [rad]."""
@@ -234,6 +236,7 @@ def _with_table(arm: ArmChain, T_base_table: Floats) -> ArmChain:
         reference=np.append(arm.reference, 0.0),
         axis=np.concatenate([arm.axis, [[0.0, 0.0, 1.0]]]),
         home=np.append(arm.home, 0.0),
+        limits=np.append(arm.limits, [[-2 * np.pi, 2 * np.pi]], axis=0),
     )
 
 
@@ -252,6 +255,7 @@ def _arm_chain(model: mujoco.MjModel, data: mujoco.MjData, T_link_scanner: Float
         model.jnt_axis[joints],
         T_link_scanner,
         np.array(data.qpos[:6]),
+        np.array(model.jnt_range[joints[:6]]),
     )
 
 

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +39,11 @@ PAGE_FILE = "view.html"
 PARTIAL_PAGE_FILE = "view.html.half"
 """Name of the page's first half while the plan is not finished."""
 
+VIEWS_LAYER = "Number of views"
+"""Title of the layer of measuring views."""
+
+_DEVIATION = "Deviation"
+
 _QUALITY_LAYERS = {
     "sigma": ("Expected standard deviation", "of a point along its ray, in the view with the smallest value"),
     "spacing": ("Spacing of points", "larger distance between neighbours, in the view with the smallest value"),
@@ -55,7 +62,7 @@ def run_page(run: Run) -> str:
     canvas, surface = measure_run(run, read_cell(run), [view.T_object_poses for view in run.plan.views])
     cell = with_ignored_faces(cell, canvas.mesh, canvas.ignored)
     part = part_surface(canvas, surface, regions=scene.regions)
-    return render_page(PageScene(title, cell, [part]), run_contents(run))
+    return render_page(PageScene(title, cell, [part], opens_on=VIEWS_LAYER), run_contents(run))
 
 
 def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequence[tuple[Ints, str]]) -> str:
@@ -116,7 +123,10 @@ def execution_page(
     points = done.points if recorded.scans else None
     contents = replace(execution_contents(run, recorded, done, cell), cloud=points)
     cell = with_ignored_faces(cell, known[0].mesh, known[0].ignored)
-    return render_page(PageScene(f"Scan of {scene.part.name}, points: {done.report.source}", cell, shown), contents)
+    title = f"Scan of {scene.part.name}, points: {done.report.source}"
+    has_deviation = done.surface is not None
+    opens_on = _DEVIATION if has_deviation else VIEWS_LAYER
+    return render_page(PageScene(title, cell, shown, opens_on=opens_on, is_alone=has_deviation), contents)
 
 
 def measure_run(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, MeasuredSamples]:
@@ -154,7 +164,7 @@ def part_surface(
     rows = canvas.vertex_samples()
     layers = list(first)
     bits = np.packbits(surface.seen[rows], axis=1, bitorder="little")
-    layers.append(Layer("Number of views", "views", bits.reshape(len(rows), -1), canvas.note))
+    layers.append(Layer(VIEWS_LAYER, "views", bits.reshape(len(rows), -1), canvas.note))
     for name, (title, note) in _QUALITY_LAYERS.items():
         if (values := surface.layers.get(name)) is None:
             continue
@@ -259,8 +269,12 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         ("sampled coverage", _format_percent(coverage.sampled)),
         *([("dense coverage", _format_percent(coverage.dense))] if coverage.dense is not None else []),
     ]
+    if done.has("features.json"):
+        features = json.loads((done.folder / "features.json").read_bytes())
+        rows += [(f"{each['name']} ({each['kind']})", _verdict(each)) for each in features["characteristics"]]
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
+        rows += [("", deviation.edge_note)] if deviation.edge_note else []
     notes = list(timeline.notes)
     if report.n_points > MAX_POINTS:
         notes.append(_thinning_note(MAX_POINTS, report.n_points, "points"))
@@ -268,6 +282,13 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
     return PageContents(
         page_views, (timeline.t, timeline.q), rows=rows, notes=notes, next_commands=commands, folder_depth=2
     )
+
+
+def _verdict(each: Mapping[str, Any]) -> str:
+    """Return value, uncertainty and verdict of a characteristic in words."""
+    if each["value"] is None:
+        return f"{each['verdict']}: {each['cause']}"
+    return f"{each['value']:.4f} ± {each['expanded_uncertainty']:.4f} {each['unit']}, {each['verdict']}"
 
 
 def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execution) -> PageSurface:
@@ -281,7 +302,7 @@ def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execut
         note += f"; {_thinning_note(len(small.faces), len(mesh.faces), 'faces')}; faces of closed holes are not marked"
     deviation = done.report.deviation
     limit = 1.0 if deviation is None else 1.5 * max(deviation.quantile_95_mm, 1e-3)  # as in deviation.png
-    return PageSurface("surface", small, [quantised_layer(values, "Deviation", "signed", (-limit, limit), note)])
+    return PageSurface("surface", small, [quantised_layer(values, _DEVIATION, "signed", (-limit, limit), note)])
 
 
 def _thinning_note(shown: int, of: int, what: str) -> str:

@@ -23,6 +23,7 @@ from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.normalise import normalise
+from cell.robot.refusals import describe_refusal
 from cell.robot.robot_file import mesh_files
 from cell.world.self_collision import LinkPairs
 from cell.world.shapes import quaternion
@@ -96,7 +97,7 @@ def load_robot(
         try:
             return mujoco.MjSpec.from_file(str(path))
         except ValueError as error:
-            raise FileError(f"{path} cannot be read as an MJCF: {robot_file.describe_refusal(error)}") from error
+            raise FileError(f"{path} cannot be read as an MJCF: {describe_refusal(error)}") from error
     folders = {name: Path(folder) for name, folder in packages}
     file = robot_file.read_robot(path, base=base_link, flange=flange_link, packages=folders)
     spec = normalise(file, velocity_deg_s)
@@ -105,7 +106,7 @@ def load_robot(
     try:
         model = spec.compile()
     except ValueError as error:
-        cause = robot_file.describe_refusal(error)
+        cause = describe_refusal(error)
         raise FileError(f"{path} has shapes that MuJoCo does not accept: {cause}") from error
     links = LinkPairs(model)
     classes = links.classify()

@@ -12,9 +12,8 @@ import pytest
 
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.export import krl, tables
-from cell.export.krl import KrlOptions
 from cell.export.options import ExportOptions
-from cell.export.program import ProgramInfo, program_of_motion
+from cell.export.program import ProgramInfo, ProgramSettings, program_of_motion
 from cell.files import model_file
 from cell.robot import model as robot
 from cell.robot.arm import kr16_kinematics
@@ -129,10 +128,13 @@ def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
 
         inverse = _kuka.inverse  # not called
 
-    motion, info = open_run(other).motion, ProgramInfo("name", "part", "run", "digest", 1.0, 1.0, np.nan, "")
+    motion, info = (
+        open_run(other).motion,
+        ProgramInfo("name", "krl", "part", "run", "digest", 1.0, 1.0, "kr16", np.nan, ""),
+    )
     program = program_of_motion(motion, Mirrored(), np.eye(4), np.eye(4), info)
-    with pytest.raises(UsageError, match=r"only arms with KUKA's axes.*--format csv or json"):
-        krl.source(program, KrlOptions(20, 30, ExportOptions()))
+    with pytest.raises(UsageError, match=r"only arms with KUKA's axes.*choose another --format"):
+        krl.source(program, ProgramSettings(20, 30, ExportOptions()))
     points = json.loads(tables.as_json(program))["via_points"]
     assert [(point["status"], point["turn"]) for point in points] == [(None, None)] * len(motion.via_q)
     assert all(line.endswith(",,") for line in tables.csv(program).decode().splitlines()[1:])

@@ -14,7 +14,7 @@ from tests.support.arms import KR16
     ("arguments", "words", "code"),
     [
         (("smoke",), "valid are: serial, modbus, modbus-rtu", 2),
-        (("serial", "--port", "5020"), "--port is for cell emulate modbus", 2),
+        (("serial", "--port", "5020"), "--port is for cell emulate modbus and ur", 2),
         (("modbus", "--link", "x"), "--link is for pseudo-terminals", 2),
         (("modbus", "--faults", "dorp=0.1"), "there is no fault 'dorp'; did you mean 'drop'", 2),
         (("modbus", "--faults", "drop=2"), "a number from 0 to 1", 2),

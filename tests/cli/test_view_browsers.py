@@ -31,6 +31,7 @@ _TOUCH = f"""(async () => {{ {_LATER}
   const colour = byId("colour");
   colour.selectedIndex = colour.options.length - 1; colour.dispatchEvent(new Event("change"));
   found.recolours = (await look()) !== first;
+  KEYS.c(); await look();
   found.at = onScreen(sources[1]).slice(0, 2);
   return found;
 }})()"""

@@ -1,12 +1,24 @@
 """The path of a moving arm is watched on every wire: deviations are stopped, arms on their path are not."""
 
+import os
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.path_watch import DEVIATIONS, VIA_DEG, DeviantPlant, count_false_alarms, drive_deviation, kr16_limits
+from benchmarks.path_watch import (
+    DEVIATIONS,
+    VIA_DEG,
+    DeviantPlant,
+    JitteringClock,
+    NoisyPlant,
+    count_false_alarms,
+    drive_deviation,
+    drive_noisy_arm,
+    kr16_limits,
+)
+from drivers.client import ControllerClient
 from drivers.contract import Capabilities, Mode, Move, RobotState
 from drivers.errors import ArrivalError, PathError
 from drivers.limits import Limits
@@ -96,6 +108,21 @@ def test_no_false_alarm() -> None:
     `python -m benchmarks path_watch` counts over 2,000 moves.
     """
     assert count_false_alarms(15) == (0, "")
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize(
+    "moves", [3, pytest.param(int(os.environ.get("PATH_WATCH_MOVES", "100")), marks=pytest.mark.slow)]
+)
+def test_no_false_alarm_on_a_wire(wire: str, moves: int) -> None:
+    """The same holds on every wire."""
+    rng = np.random.default_rng(moves)
+    bench = make_bench(wire, limits=LIMITS)
+    bench.endpoint.controller.plant = NoisyPlant(np.asarray(bench.endpoint.controller.plant.reported_axes), rng)
+    client = ControllerClient(bench.link, JitteringClock(bench.clock, rng), LIMITS)
+    client.connect()
+    assert drive_noisy_arm(client, moves, rng) == (0, "")
+    assert len(bench.journal.of("move")) == moves
 
 
 @pytest.mark.parametrize("wire", WIRES)

@@ -1,7 +1,7 @@
 """Run folders with one changed field and renewed hashes and digest: the field is refused, or has no effect.
 
-Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so new
-fields are tested without a change here. docs/internals/run_folder_free_fields.csv lists the fields that may be changed.
+Every field of every driving artefact and of manifest.json is found by walking over the files, so new fields are tested
+without a change here. docs/internals/run_folder_free_fields.csv lists the fields that may be changed.
 """
 
 import copy
@@ -15,18 +15,25 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from cell.errors import CellError
+from cell.runs import ply
+from cell.runs.current_files import CurrentFiles
+from cell.runs.current_scene import require_current_scene
+from cell.runs.run import open_run
 from cell.runs.verification import verify_plan
+from planner.geometry.mesh import TriangleMesh
 from tests.support.fixture_types import RunCommand
 
 Reseal = Callable[[Path], str]
 
 FREE = Path(__file__).parents[2] / "docs" / "internals" / "run_folder_free_fields.csv"
 JSON = ("plan.json", "scene.resolved.json", "manifest.json")
+ARRAYS = ("motion.npz", "viewpoints.npz")
 _OPEN = ("artefacts", "inputs", "versions", "seconds", "options")  # maps of the manifest whose keys are data
 
 
@@ -55,7 +62,7 @@ def free_fields() -> list[re.Pattern[str]]:
     with FREE.open(encoding="utf-8", newline="") as file:
         names = [row["field"] for row in csv.DictReader(file)]
     assert len(names) > 20
-    below = r"(\..*|\[.*)?"
+    below = r"([.\[@].*)?"
     return [
         re.compile(re.escape(name.removesuffix(".*")) + (below if name.endswith(".*") else r"(\[\])*"))
         for name in names
@@ -129,6 +136,12 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
     with np.load(run / name) as stored:
         arrays = dict(stored)
 
+    views = [view["id"] for view in json.loads((run / "plan.json").read_text())["views"]]
+
+    def field(key: str, index: int) -> str:
+        row = index // max(1, arrays[key].size // max(1, len(arrays[key])))
+        return f"{name}:{key}" + (" of a view" if name == "viewpoints.npz" and row in views else "")
+
     def entry(array: Any, index: int) -> Any:
         new = array.copy()
         flat = new.reshape(-1)
@@ -141,21 +154,85 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
             flat[index] += 1
         return new
 
-    def made(key: str, what: str, value: Any) -> Change:
+    def made(key: str, what: str, value: Any, index: int = -1) -> Change:
         others = {own: array for own, array in arrays.items() if own != key}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **others, **({} if value is None else {key: value}))
-        return Change(f"{name}:{key}", what, buffer.getvalue())
+        return Change(field(key, index) if index >= 0 else f"{name}:{key}", what, buffer.getvalue())
 
     changes: list[Callable[[], Change]] = []
     for key, array in arrays.items():
-        chosen = rng.choice(array.size, min(each, array.size), replace=False)
-        changes += [lambda key=key, k=k, a=array: made(key, f"entry {k}", entry(a, k)) for k in chosen.tolist()]
+        chosen = rng.choice(array.size, min(each, array.size), replace=False).tolist()
+        if name == "viewpoints.npz" and key in ("T_object_scanner", "roll"):  # and of views of the plan
+            per_row = array.size // len(array)
+            chosen += [view * per_row + int(rng.integers(min(per_row, 12))) for view in views[:each]]
+        changes += [lambda key=key, k=k, a=array: made(key, f"entry {k}", entry(a, k), k) for k in chosen]
         changes.append(lambda key=key: made(key, "taken away", None))
         changes.append(lambda key=key, a=array: made(key, "its last taken away", a[:-1]))
         changes.append(lambda key=key, a=array: made(key, "its last twice", np.concatenate([a, a[-1:]])))
         if not np.array_equal(array, array[::-1]):
             changes.append(lambda key=key, a=array: made(key, "turned round", a[::-1]))
+    return changes
+
+
+def xml_changes(run: Path, name: str) -> list[Callable[[], Change]]:
+    """Return the changes of every kind of element and attribute of an XML file: first, middle and last of each kind."""
+    content = (run / name).read_bytes()
+    places: dict[str, list[tuple[int, str]]] = {}
+    for number, element in enumerate(ElementTree.fromstring(content).iter()):
+        for attribute in ("", *element.attrib):
+            places.setdefault(f"{element.tag}@{attribute}" if attribute else element.tag, []).append(
+                (number, attribute)
+            )
+
+    def made(kind: str, number: int, attribute: str, what: str) -> Change:
+        root = ElementTree.fromstring(content)
+        element = list(root.iter())[number]
+        if not attribute:
+            parents = {child: parent for parent in root.iter() for child in parent}
+            (parents[element].remove if what == "taken away" else parents[element].append)(element)
+        elif what == "taken away":
+            del element.attrib[attribute]
+        else:
+            words = element.attrib[attribute].split()
+            word = words[-1]
+            words[-1] = repr(float(word) + 0.011) if re.fullmatch(r"[-+.\de]+", word) else f"{word}x"
+            element.attrib[attribute] = " ".join(words)
+        return Change(f"{name}:{kind}", f"{kind} number {number} {what}", ElementTree.tostring(root))
+
+    return [
+        lambda args=(kind, *place, what): made(*args)
+        for kind, found in places.items()
+        if kind != "mujoco"  # the root
+        for place in dict.fromkeys((found[0], found[len(found) // 2], found[-1]))
+        for what in (("changed", "taken away") if place[1] else ("taken away", "twice"))
+    ]
+
+
+def mesh_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
+    """Return changes of a mesh: a vertex, a face, its size, its place."""
+    mesh = open_run(run).mesh(name)
+
+    def made(field: str, what: str, vertices: Any, faces: Any) -> Change:
+        new = TriangleMesh(vertices, faces.astype(np.int32), None if len(faces) != len(mesh.faces) else mesh.region)
+        return Change(f"{name}:{field}", what, ply.mesh_bytes(new))
+
+    def moved(index: int) -> Any:
+        vertices = mesh.vertices.copy()
+        vertices[index] += 2e-5
+        return vertices
+
+    chosen = rng.choice(len(mesh.vertices), each, replace=False).tolist()
+    changes: list[Callable[[], Change]] = [
+        lambda k=k: made("vertex", f"vertex {k} moved", moved(k), mesh.faces) for k in chosen
+    ]
+    changes += [
+        lambda: made("face", "the last taken away", mesh.vertices, mesh.faces[:-1]),
+        lambda: made("face", "the last twice", mesh.vertices, mesh.faces[[*range(len(mesh.faces)), -1]]),
+        lambda: made("face", "all inverted", mesh.vertices, mesh.faces[:, ::-1]),
+        lambda: made("vertex", "all at 30 %", 0.3 * mesh.vertices, mesh.faces),
+        lambda: made("vertex", "all 1 mm higher", mesh.vertices + np.array([0.0, 0.0, 1e-3]), mesh.faces),
+    ]
     return changes
 
 
@@ -172,7 +249,7 @@ def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> 
                 _digest_anew(path)
             else:
                 resealed(run)
-            verify_plan(run)
+            require_current_scene(verify_plan(run), CurrentFiles(), None, wire=True)
         except CellError:
             pass
         else:
@@ -203,9 +280,12 @@ def _digest_anew(path: Path) -> None:
 
 
 def all_changes(run: Path, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
-    """Return the changes of all four files."""
+    """Return the changes of all driving artefacts and of the manifest."""
     of_json = [change for name in JSON for change in json_changes(run, name)]
-    return [*of_json, *array_changes(run, "motion.npz", rng, each)]
+    of_arrays = [change for name in ARRAYS for change in array_changes(run, name, rng, each)]
+    of_meshes = [change for path in sorted(run.glob("*.ply")) if path.name != "planning.ply"
+                 for change in mesh_changes(run, path.name, rng, each)]  # fmt: skip
+    return [*of_json, *of_arrays, *of_meshes, *xml_changes(run, "cell.xml")]
 
 
 def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
@@ -235,7 +315,7 @@ def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path
 def test_every_field_changed_alone_is_refused_or_changes_nothing(
     plan: str, request: pytest.FixtureRequest, tmp_path: Path, resealed: Reseal
 ) -> None:
-    """Every change of every field of the four files is tested, for plans with views at rest and with sweeps."""
+    """Every change of every field of every artefact is tested, for plans with views at rest and with sweeps."""
     run = tmp_path / "run"
     shutil.copytree(request.getfixturevalue(plan), run)
     assert judged(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []

@@ -7,7 +7,6 @@ has a clock, inputs and outputs, and rejects every unknown statement.
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,32 +14,11 @@ import numpy as np
 import pytest
 
 from tests.support.fixture_types import RunCommand
+from tests.support.robot_programs import HOME, Robot, prompt_scanner, sweeping_program
 
 
 class _Return(Exception):  # noqa: N818 - control flow of the interpreter, not an error
     pass
-
-
-@dataclass
-class Robot:
-    """A controller with a clock [s], signals and axes [deg]; `scanner` reacts as time passes."""
-
-    axes: list[float]
-    scanner: Callable[["Robot"], None]
-    operator: Callable[["Robot"], None] | None = None
-    now: float = 0.0
-    inputs: dict[int, bool] = field(default_factory=dict)
-    outputs: dict[int, bool] = field(default_factory=dict)
-    timers: dict[int, float] = field(default_factory=dict)  # time at which the timer is 0
-    moves: list[tuple[str, dict[str, float]]] = field(default_factory=list)
-    events: list[tuple[str, float]] = field(default_factory=list)
-    variables: dict[str, Any] = field(default_factory=dict)
-    line: Callable[["Robot", dict[str, float]], list[float]] | None = None  # axes after a LIN
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass."""
-        self.now += seconds
-        self.scanner(self)
 
 
 class _Struct(dict[str, float]):
@@ -222,22 +200,6 @@ class _Flags:
         return self._robot.now > self._robot.timers[number]
 
 
-def _prompt(output: int = 1, done: int = 1, delay: float = 0.3) -> Callable[[Robot], None]:
-    """Return a scanner that answers after `delay` seconds and resets the answer when the trigger falls."""
-    since: list[float] = []
-
-    def scanner(robot: Robot) -> None:
-        if not robot.outputs.get(output, False):
-            since.clear()
-            robot.inputs[done] = False
-        elif not since:
-            since.append(robot.now)
-        elif robot.now - since[0] >= delay:
-            robot.inputs[done] = True
-
-    return scanner
-
-
 @pytest.fixture(scope="module")
 def exported(planned: Path, run_cell: RunCommand, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
     """Return `.src` and `.dat` of the small plan with signals 7 and 8."""
@@ -245,9 +207,6 @@ def exported(planned: Path, run_cell: RunCommand, tmp_path_factory: pytest.TempP
     signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "0.2")
     run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder, code=0)
     return (folder / "out" / "PART_07.src").read_bytes(), (folder / "out" / "PART_07.dat").read_bytes()
-
-
-HOME = [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]
 
 
 def _driven(exported: tuple[bytes, bytes], robot: Robot) -> Krl:
@@ -262,7 +221,7 @@ def test_the_program_follows_the_planned_via_points_and_poses(exported: tuple[by
     from planner.kinematics.frames import pose_from_kuka_abc
 
     scanned: list[list[float]] = []
-    answer = _prompt(7, 8)
+    answer = prompt_scanner(7, 8)
 
     def scanner(robot: Robot) -> None:
         before = robot.inputs.get(8, False)
@@ -294,7 +253,7 @@ def test_the_program_follows_the_planned_via_points_and_poses(exported: tuple[by
 
 def test_it_settles_triggers_once_per_view_and_resets_the_trigger(exported: tuple[bytes, bytes]) -> None:
     """Between two motions the order is settle, trigger up, answer, trigger down, without motion during the trigger."""
-    robot = Robot(list(HOME), _prompt(7, 8))
+    robot = Robot(list(HOME), prompt_scanner(7, 8))
     _driven(exported, robot)
     up = False
     for (name, at), (_, before) in zip(robot.events[1:], robot.events[:-1], strict=True):
@@ -313,7 +272,7 @@ def test_it_settles_triggers_once_per_view_and_resets_the_trigger(exported: tupl
 
 def test_a_silent_scanner_halts_the_program_and_the_view_is_repeated(exported: tuple[bytes, bytes]) -> None:
     """Time-out: reset the trigger, halt at the view without motion; Start repeats the view and continues."""
-    silent, prompt = [True], _prompt(7, 8)
+    silent, prompt = [True], prompt_scanner(7, 8)
     halts: list[tuple[float, int, bool]] = []
 
     def operator(robot: Robot) -> None:
@@ -335,7 +294,7 @@ def test_an_arm_that_was_jogged_during_a_halt_halts_it_again(
     exported: tuple[bytes, bytes], axis: int, off: float
 ) -> None:
     """After the first time-out: no trigger and no motion until every axis is back at its stop."""
-    silent, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
+    silent, prompt, stood = [True], prompt_scanner(7, 8), list[tuple[int, list[float]]]()
 
     def operator(robot: Robot) -> None:
         stood.append((len(robot.moves), list(robot.axes)))
@@ -359,7 +318,7 @@ def test_an_arm_that_was_jogged_during_a_halt_halts_it_again(
 
 def test_an_arm_that_was_jogged_before_the_trigger_halts_it(exported: tuple[bytes, bytes]) -> None:
     """After a halt because of a stuck answer, the arm is checked before the trigger rises."""
-    hangs, prompt, stood = [True], _prompt(7, 8), list[list[float]]()
+    hangs, prompt, stood = [True], prompt_scanner(7, 8), list[list[float]]()
 
     def operator(robot: Robot) -> None:
         stood.append(list(robot.axes))
@@ -408,7 +367,7 @@ def test_nothing_moves_away_from_home(exported: tuple[bytes, bytes], axis: int, 
         assert not robot.moves
         robot.axes = list(HOME)
 
-    robot = Robot(start, _prompt(7, 8), operator)
+    robot = Robot(start, prompt_scanner(7, 8), operator)
     _driven(exported, robot)
     assert [name for name, _ in robot.events].count("HALT") == 1
     assert robot.axes == HOME
@@ -417,43 +376,14 @@ def test_nothing_moves_away_from_home(exported: tuple[bytes, bytes], axis: int, 
 def _sweeping(
     reverse: bool = False, turn: float = 0.0, speed_percent: int = 100, planned_speed: float = 1.0
 ) -> tuple[bytes, bytes, Any]:
-    """Return a program of two sweeps, the second turned by `turn` [rad], with a view between them, and its motion."""
+    """Return the KRL files of `sweeping_program`, and its motion."""
     from cell.export import krl
     from cell.export.options import ExportOptions
-    from cell.export.program import ProgramInfo, program_of_motion
-    from cell.robot.arm import kr16_kinematics
-    from planner.path.sweeps import TimedSweep, find_sweeps
-    from planner.timing.motion import retime
-    from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
+    from cell.export.program import ProgramSettings
 
-    kinematics, mount = kr16_kinematics(), np.eye(4)
-    mount[:3, 3] = (0.02, -0.03, 0.12)
-    T = kinematics.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ mount
-    columns = (
-        straight_sweep_poses(0.15, 8),
-        turned_sweep_poses(turn, 5) if turn else straight_sweep_poses(0.06, 5, (0.2, 1.0, 0.1)),
-    )
-    paths = [find_sweeps(T @ column, mount, kinematics, kinematics.limits).paths[int(reverse)] for column in columns]
-    home, between = np.radians([HOME]), paths[0].q[-1:] + np.radians(1.5)
-    via = np.concatenate([home, paths[0].q, between, paths[1].q, home])
-    pose = np.concatenate([[-1], paths[0].pose, [0], paths[1].pose, [-1]])
-    number = np.concatenate([[0], *([k] * n for k, n in ((40, len(paths[0].q)), (41, 1), (42, len(paths[1].q)))), [0]])
-    view = np.where(pose >= 0, number, -1)
-    segment = np.maximum(np.concatenate([number[:-1], [43]]) - 40, 0)
-    rows = {1: paths[0], len(paths[0].q) + 2: paths[1]}
-    motion = retime(
-        via, segment, view, kinematics.limits, pose=pose,
-        lines={row: TimedSweep(path, mount, kinematics) for row, path in rows.items()},
-    )  # fmt: skip
-    program = program_of_motion(
-        motion,
-        kinematics,
-        mount,
-        np.eye(4),
-        ProgramInfo("SWEEPS", "plate", "run", "0" * 64, planned_speed, 1.0, float("nan"), ""),
-    )
-    options = krl.KrlOptions(speed_percent, 100, ExportOptions(trigger_output=7, gate_output=9, done_input=8))
-    return krl.source(program, options), krl.data(program, options), (motion, paths, kinematics, mount)
+    program, details = sweeping_program(reverse, turn, planned_speed)
+    settings = ProgramSettings(speed_percent, 100, ExportOptions(trigger_output=7, gate_output=9, done_input=8))
+    return krl.source(program, settings), krl.data(program, settings), details
 
 
 def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[float]]:
@@ -480,7 +410,7 @@ def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[
 def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
     """Planned start and end within 0.01 mm and 0.001 deg; planned poses on the line; gate; speed."""
     src, dat, (_, paths, kinematics, mount) = _sweeping(reverse)
-    robot = Robot(list(HOME), _prompt(7, 8), line=_straight_line(kinematics))
+    robot = Robot(list(HOME), prompt_scanner(7, 8), line=_straight_line(kinematics))
     before: list[list[float]] = []
     drive = robot.line
     assert drive is not None
@@ -553,7 +483,7 @@ def test_a_sweep_that_turns_is_refused() -> None:
 def test_an_arm_jogged_at_the_end_of_a_line_does_not_return() -> None:
     """The LIN to the beginning waits until the arm is at the end of the line; the next trigger, at its beginning."""
     src, dat, (_, paths, kinematics, _) = _sweeping()
-    silent, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
+    silent, prompt, stood = [True], prompt_scanner(7, 8), list[tuple[int, list[float]]]()
 
     def operator(robot: Robot) -> None:
         stood.append((len(robot.moves), list(robot.axes)))
@@ -575,7 +505,7 @@ def test_an_arm_jogged_at_the_end_of_a_line_does_not_return() -> None:
 def test_a_sweep_without_an_answer_is_repeated() -> None:
     """Time-out after the line: halt, LIN back to its beginning, the same line again, then continue."""
     src, dat, (_, paths, kinematics, _) = _sweeping(False)
-    silent, prompt = [True], _prompt(7, 8)
+    silent, prompt = [True], prompt_scanner(7, 8)
 
     def operator(robot: Robot) -> None:
         silent[0] = False

@@ -50,7 +50,7 @@ WRONG = {
     "edit('run', drop='all')": "Sequence[int]",
     "scan('run', resolution='fine')": '"float | None"',
     "explore('mug', policy='greedy')": "'two-stage'",
-    "export('run', format='urscript')": "'krl'",
+    "export('run', format='karel')": "'krl'",
 }
 
 

@@ -69,6 +69,8 @@ AMBIGUOUS = {
     "names first": (rows(before="P{k} "), "'P0' where a number or the names x, y and z are expected, line 1"),
     "cut short": (rows() + "12.25 3\n", f"2 numbers in line {len(POINTS) + 1}"),
     "fewer than announced": (f"{len(POINTS) + 1}\n" + rows(), "announces 41 points but has 40"),
+    "integers first": (rows(before="7{k} "), "the first has only integers"),
+    "binary": (b"LASF\0\1\2\3".decode(), "not a text file"),
     "two columns": ("1 2\n3 4\n", "x, y and z are needed"),
     "Fortran": ("1.0D+01 2.0D+01 3.0D+01\n", "'1.0D[+]01'.*line 1"),
     "a word": (rows() + "1 2 three\n", f"'three' where a number is expected, line {len(POINTS) + 1}"),
@@ -157,6 +159,17 @@ PCD = {
 }  # fmt: skip
 
 
+def test_pcd_counts_are_compared(tmp_path: Path) -> None:
+    """More points than announced, and a grid of another size, are refused; CSV is a text."""
+    for kind, body in (("ascii", rows().encode()), ("binary", POINTS.astype("<f4").tobytes())):
+        content = pcd("x y z", "4 4 4", "F F F", "1 1 1", kind, body + body)
+        with pytest.raises(FileError, match=r"announces 40|behind its 40 points"):
+            read_text(tmp_path, content, "points.pcd")
+        with pytest.raises(FileError, match="announces 40 points but WIDTH 40 and HEIGHT 2"):
+            read_text(tmp_path, content.replace(b"HEIGHT 1", b"HEIGHT 2"), "points.pcd")
+    assert read_text(tmp_path, rows(","), "points.csv") == pytest.approx(POINTS)
+
+
 @pytest.mark.parametrize("case", PCD)
 def test_pcd_points_in_every_form(tmp_path: Path, case: str) -> None:
     """Padding, empty fields, packed data and comments are read."""
@@ -188,7 +201,9 @@ def test_a_pcd_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, se
         (ply(LITTLE, XYZ, b"12"), "ends before its 40 rows of 'vertex'"),
         (ply("middle_endian", XYZ, b""), "not PLY, line 2: format middle_endian"),
         (ply("ascii", ["half x"], b""), "not PLY, line 4: property half x"),
-        (ply("ascii", XYZ[:2], rows().encode()), "no property z"),
+        (ply("ascii", XYZ[:2], b"1 2\n" * len(POINTS)), "no property z"),
+        (ply("ascii", XYZ, rows(after=" 7").encode()), "40 numbers more than its header announces"),
+        (ply(LITTLE, XYZ, POINTS.astype("<f4").tobytes() + b"more"), "4 bytes more than its header announces"),
         (ply("ascii", XYZ, rows(comma=True).encode()), "line 8; write decimal points"),
         (b"ply\nelement vertex 0\nend_header\n", "no format line"),
     ],
@@ -201,5 +216,5 @@ def test_a_ply_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, se
 
 def test_other_formats_are_named(tmp_path: Path) -> None:
     """The sentence lists the formats that are read."""
-    with pytest.raises(FileError, match=r"'\.stl'; points are read from \.ply, \.xyz"):
+    with pytest.raises(FileError, match=r"'\.stl'; points are read from \.ply, \.pcd, \.xyz"):
         read_text(tmp_path, b"solid", "a.stl")

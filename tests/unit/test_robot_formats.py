@@ -122,6 +122,47 @@ def test_numbers_that_no_arm_has_are_refused(tmp_path: Path, options: dict[str, 
         read(tmp_path, urdf(**options))
 
 
+@pytest.mark.parametrize(
+    ("given", "written", "sentence"),
+    [
+        ('<link name="link_2">', '<link name="link_1">', "two links named 'link_1'"),
+        ('name="j2"', 'name="j1"', "two joints named 'j1'"),
+        ('type="revolute"', 'type="Revolute"', "'j1' has the type 'Revolute'; supported are revolute"),
+        ('<child link="link_3"/>', '<child link="link_9"/>', "'j3' has the child 'link_9', which is none of the links"),
+        ("</robot>", '<link name="table"/></robot>', "2 links without a parent [(]base_link, table[)]"),
+        (
+            "</robot>",
+            '<joint name="q" type="fixed"><parent link="tool0"/><child link="link_1"/></joint></robot>',
+            "child of two joints, 'j1' and 'q'",
+        ),
+        ('<origin xyz="0 0 0.2"/>', '<origin xyz="0 0 0.2" rpy="0 0 90"/>', "seem to be in degrees"),
+    ],
+)
+def test_a_urdf_that_is_no_tree_is_named(tmp_path: Path, given: str, written: str, sentence: str) -> None:
+    """The sentence names the link or joint, in place of MuJoCo's words."""
+    with pytest.raises(CellError, match=sentence):
+        read(tmp_path, urdf().replace(given, written, 1))
+
+
+def test_impossible_inertias_do_not_matter(tmp_path: Path) -> None:
+    """Kinematics uses neither mass nor inertia."""
+    inertia = '<inertia ixx="-1" iyy="0" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    read(tmp_path, urdf(link_2=f'{BOX}<inertial><mass value="-1"/>{inertia}</inertial>'))
+
+
+def test_a_concave_polygon_of_a_robots_mesh_covers_its_own_surface(tmp_path: Path) -> None:
+    """An OBJ has the triangles of the part's reader, not a fan over its notch."""
+    profile = [(0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.08), (0, 0.08)]
+    rows = [f"v {x} {y} {z}" for z in (0, 0.04) for x, y in profile]
+    rows += ["f -7 -8 -9 -10 -11 -12", "f 8 9 10 11 12 7"]
+    rows += [f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}" for k in range(6)]
+    (tmp_path / "l.obj").write_text("\n".join(rows))
+    model = read(tmp_path, urdf(link_2=MESH.format("l.obj"))).model
+    corners = model.mesh_vert[model.mesh_face]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.linalg.norm(cross, axis=1).sum() / 2 == pytest.approx(0.0234, rel=1e-6)
+
+
 def test_an_unsupported_mesh_is_named_with_the_cure(tmp_path: Path) -> None:
     """COLLADA is not read."""
     (tmp_path / "a.dae").write_text("<COLLADA/>")

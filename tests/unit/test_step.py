@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError, UsageError
-from cell.part.cad import DEVIATION_MM, CadFace, SurfaceKind, cad_face
+from cell.part import cad
+from cell.part.cad import DEVIATION_MM, MAX_VOLUME_ERROR, SurfaceKind, cad_face
 from cell.part.description import volume
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece, load
@@ -24,29 +25,13 @@ def written(folder: Path, text: str, name: str = "part.stp") -> Path:
     return path
 
 
-def distances(face: CadFace, points: np.ndarray) -> np.ndarray:
-    """Return the distances (N,) of points from the surface of a face [m]."""
-    off = points - face.point
-    if face.kind is SurfaceKind.SPHERE:
-        return np.abs(np.linalg.norm(off, axis=1) - face.radius)
-    along = off @ face.axis
-    across = np.linalg.norm(off - along[:, None] * face.axis, axis=1)
-    if face.kind is SurfaceKind.PLANE:
-        return np.abs(along)
-    if face.kind is SurfaceKind.CONE:
-        return np.abs(across * math.cos(face.half_angle) - np.abs(along) * math.sin(face.half_angle))
-    if face.kind is SurfaceKind.TORUS:
-        return np.abs(np.hypot(across - face.centre_radius, along) - face.radius)
-    return np.abs(across - face.radius)
-
-
 def check_faces(part: Workpiece) -> None:
     """Require every corner of every triangle to be on the surface of its face, within float32 of the file."""
     for index, face in enumerate(part.cad.faces):
         corners = part.reference.vertices[part.reference.faces[part.cad.of_triangle == index]].reshape(-1, 3)
         assert len(corners)
         if face.kind is not SurfaceKind.OTHER:
-            assert distances(face, corners).max() < 1e-6
+            assert face.distance(corners).max() < 1e-6
 
 
 @needs_cascadio
@@ -94,6 +79,69 @@ def test_a_sheet_outside_the_solids_is_left_out_and_reported(tmp_path: Path) -> 
     assert part.cad.counts() == {"plane": 12, "cylinder": 1}
     assert sorted({face.number for face in part.cad.faces}) == list(range(1, 14))
     check_faces(part)
+
+
+@needs_cascadio
+@pytest.mark.parametrize("is_first", [False, True])
+@pytest.mark.parametrize("edge", [[(0, 40, 30)], [(0, -20, 30)], [(5, 3, 30), (0, 0, 30)]])
+def test_a_sheet_that_touches_the_solid_does_not_open_it(
+    tmp_path: Path, edge: list[tuple[float, float, float]], is_first: bool
+) -> None:
+    """A copy of the top face, a flap at its edge, and a triangle on it are left out: the solid is closed."""
+    made = StepFile()
+    y = edge[0][1]
+    corners = [(0.0, 0.0, 30.0), (60.0, 0.0, 30.0), (60.0, y, 30.0), (0.0, y, 30.0)] if len(edge) == 1 else edge
+    corners = [*corners, (60.0, 40.0, 30.0)] if len(edge) == 2 else corners
+    if is_first:
+        made.solids.append(made.sheet_on(*corners))
+        made.block((0, 0, 0), (60, 40, 30), None)
+    else:
+        made.block((0, 0, 0), (60, 40, 30), None)
+        made.solids.append(made.sheet_on(*corners))
+    part = load(written(tmp_path, made.text()))
+    assert [finding.kind for finding in part.findings] == [Kind.NO_SOLID]
+    assert part.cad.counts() == {"plane": 6}
+    assert part.reference.areas.sum() == pytest.approx(10_800e-6)
+    assert volume(part) == pytest.approx(72_000e-9)
+
+
+@needs_cascadio
+def test_the_tessellated_copy_of_a_solid_is_no_second_body(tmp_path: Path) -> None:
+    """A file can have both forms of a part; triangles alone are read, too."""
+    made = StepFile()
+    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    made.others.append(
+        ("TESSELLATED_SHAPE_REPRESENTATION", made.tessellated_block((60, 40, 30), made.solids[0]), "copy")
+    )
+    part = load(written(tmp_path, made.text()))
+    assert (part.findings, part.cad.counts()) == ((), {"plane": 6, "cylinder": 1})
+    made = StepFile()
+    made.solids.append(made.tessellated_block((60, 40, 30)))
+    part = load(written(tmp_path, made.text()))
+    assert (part.findings, volume(part)) == ((), pytest.approx(72_000e-9))
+
+
+@needs_cascadio
+@pytest.mark.parametrize("radius", [1.0, 8.0, 50.0])
+def test_round_parts_have_their_volume_within_a_thousandth(tmp_path: Path, radius: float) -> None:
+    """A cylinder of any size is triangulated finer until its volume is right."""
+    made = StepFile()
+    made.cylinder(radius, 30)
+    part = load(written(tmp_path, made.text()))
+    assert volume(part) == pytest.approx(math.pi * radius**2 * 30e-9, rel=MAX_VOLUME_ERROR)
+    assert part.findings == ()
+    check_faces(part)
+
+
+@needs_cascadio
+def test_a_volume_that_is_not_reached_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an unreachable limit, the difference is stated in percent."""
+    monkeypatch.setattr(cad, "MAX_VOLUME_ERROR", 1e-9)
+    made = StepFile()
+    made.cylinder(50, 3)
+    part = load(written(tmp_path, made.text()))
+    assert [finding.kind for finding in part.findings] == [Kind.COARSE]
+    assert re.search(r"by 0\.00\d+ % of the volume", part.findings[0].sentence)
 
 
 @needs_cascadio
@@ -152,6 +200,14 @@ def test_a_file_without_a_unit_asks_for_it(tmp_path: Path) -> None:
     bore = next(face for face in part.cad.faces if face.kind is SurfaceKind.CYLINDER)
     assert bore.radius == pytest.approx(8 * 0.0254, rel=1e-9)
     check_faces(part)
+
+
+@needs_cascadio
+def test_a_unit_of_length_outside_the_context_is_no_unit(tmp_path: Path) -> None:
+    """A context of angles only does not state the unit."""
+    text = re.sub(r"(GLOBAL_UNIT_ASSIGNED_CONTEXT\(\()#\d+,", r"\1", bored_block())
+    with pytest.raises(UsageError, match="does not state its unit"):
+        load(written(tmp_path, text))
 
 
 @needs_cascadio

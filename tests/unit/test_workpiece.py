@@ -156,7 +156,7 @@ def _broken_files(folder: Path) -> dict[str, tuple[str, bytes, str]]:
         "nan stl": ("x.stl", content[:96] + struct.pack("<f", float("nan")) + content[100:], "1 vertices whose"),
         "inf ply": ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
                     b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-                    b"0 0 0\n1 0 inf\n0 1 0\n3 0 1 2\n", "1 vertices whose coordinates are not numbers"),
+                    b"0 0 0\n1 0 inf\n0 1 0\n3 0 1 2\n", "NaN or infinity[)], first at vertex 2"),
         "points only": ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
                         b"property float z\nend_header\n0 0 0\n", "holds no faces"),
         "truncated ply": ("x.ply", write(folder, body(), "y.ply").read_bytes()[:3000], "is cut short"),

@@ -1,16 +1,20 @@
-"""Reserved names of KRL: well-formed names that a program cannot have.
+"""Names of programs: well-formed, and not reserved in the language.
 
-They are keywords and predefined functions of the language, declarations of KUKA's `$CONFIG.DAT` (a KSS 8; users may
-have added more), KUKA's own programs, definitions of the exported programs themselves, and names that Windows does not
-allow for files. KRL ignores case.
+Reserved in KRL are keywords and predefined functions, declarations of KUKA's `$CONFIG.DAT` (a KSS 8; users may have
+added more), KUKA's own programs, definitions of the exported programs themselves, and names that Windows does not allow
+for files. KRL and RAPID ignore case; LS has upper case only.
 """
 
 import re
 
 from cell.errors import UsageError
+from cell.export.options import Language
 
 MAX_NAME_LENGTH = 24
-"""Most characters of a name in KRL."""
+"""Most characters of a name in KRL; RAPID has 32, LS 36, and the longest suffix of a name here has 4."""
+
+LANGUAGES = {"krl": "KRL", "rapid": "RAPID", "urscript": "URScript", "ls": "LS"}
+"""Names of the languages."""
 
 _KEYWORDS = """
 abs acos and anin anout as asyptp atan2 aux axis b_and b_exor b_not b_or base bool brake c_dis c_ori c_ptp c_spl c_vel
@@ -46,25 +50,50 @@ sc_timer sc_tool sc_trigger sc_view
 """
 _RESERVED = frozenset(f"{_KEYWORDS} {_CONFIG_DAT} {_PROGRAMS} {_EXPORTED} con".split())
 
+_OTHERS = {
+    "rapid": """
+alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc endrecord
+endtest endtrap endwhile error exit false for from func goto if inout local mod module nostepin noview not or pers proc
+raise readonly record retry return step sysmodule task test then to trap true trynext undo var viewonly while with xor
+abs base bool calcrobt cjointt confl cos fine home load main moveabsj movel num pose reset robtarget set setdo sin stop
+string tool0 user wobj0
+""",
+    "urscript": """
+and break continue def elif else end enter_critical exit_critical false global halt if join kill local not or pause
+return run sec struct sync thread true while xor abs acos asin atan cos d2r floor home movec movej movel movep norm
+popup pose_trans program r2d sin sleep sqrt tan textmsg
+""",
+    "ls": """
+abort aux call cnt con di do else end endfor endif fine for if jmp lbl message nul pause position pr prn r select skip
+then uframe utool wait
+""",
+}
+"""Reserved names of the other languages."""
+
 _RESERVED_PATTERNS = re.compile(r"(com|lpt|x?home|channel_|up|makro|xp)\d+|xhome|def_.*")
 """Patterns: names with a number (devices, positions, signals, KUKA's user programs), and defaults of $CONFIG.DAT."""
 
 
-def check_name(name: str) -> None:
-    """Require a name that a KRL program can have.
+def check_name(name: str, language: Language) -> None:
+    """Require a name that a program in the language can have; names of tables follow KRL.
 
     Raises:
         UsageError: if it is too long, holds other characters, begins with a digit or is reserved.
     """
+    title = LANGUAGES.get(language, "KRL")
     if len(name) > MAX_NAME_LENGTH:
         shown = name if len(name) <= 2 * MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
-        raise UsageError(f"--name {shown} has {len(name)} characters; a name in KRL has at most {MAX_NAME_LENGTH}")
+        raise UsageError(f"--name {shown} has {len(name)} characters; a name in {title} has at most {MAX_NAME_LENGTH}")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise UsageError(
-            f"--name {name or repr(name)} is not a name in KRL; it must begin with a letter and hold only letters, "
-            "digits and _"
+            f"--name {name or repr(name)} is not a name in {title}; it must begin with a letter and hold only "
+            "letters, digits and _"
         )
-    if name.lower() in _RESERVED or _RESERVED_PATTERNS.fullmatch(name.lower()):
+    lower = name.lower()
+    if title == "KRL" and (lower in _RESERVED or _RESERVED_PATTERNS.fullmatch(lower)):
         raise UsageError(
             f"--name {name} is reserved in KRL, in $CONFIG.DAT or in the exported program; choose another name"
         )
+    reserved = _OTHERS.get(language, "").split()
+    if lower in reserved or (title != "KRL" and re.fullmatch(r"sc[A-Z_].*|(com|lpt)\d+", name)):
+        raise UsageError(f"--name {name} is reserved in {title} or in the exported program; choose another name")

@@ -1,0 +1,16 @@
+"""Text of a program: ASCII lines that a comment cannot break."""
+
+from collections.abc import Iterable
+
+MAX_LINE_LENGTH = 400
+"""Longest line [characters]; KRL's own limit is 471 on a KR C2 (from memory)."""
+
+
+def encoded(lines: Iterable[str]) -> bytes:
+    """Return lines as a file. Names in comments may hold line breaks, which would begin a statement."""
+    return "".join(f"{_single_line(line)}\r\n" for line in lines).encode("ascii", errors="replace")
+
+
+def _single_line(line: str) -> str:
+    shown = "".join(character if character.isprintable() else "?" for character in line)
+    return shown if len(shown) <= MAX_LINE_LENGTH else shown[: MAX_LINE_LENGTH - 3] + "..."  # only comments

@@ -1,0 +1,1 @@
+"""Inspection: features of a part, their characteristics, measured values, uncertainty and conformity."""

@@ -1,0 +1,479 @@
+"""Values of characteristics with expanded uncertainty, and their conformity.
+
+A value is a function of components: offsets of an axis at its ends, distances of cells from a zone. Components are
+linear in small errors of the fitted shapes and the cells, datums included. Errors of points and of the views' poses are
+drawn and propagated (JCGM 101): the uncertainty includes correlations between features of one view. A zone has a bias,
+since noise widens it; U = sqrt(bias^2 + (2 s)^2) with the standard deviation s of the draws.
+
+Conformity follows ISO 14253-1: pass if the value is inside the limits by more than U, fail if it is outside by more
+than U, else undecided.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from cell.inspect.alignment import datum_frame, moved
+from cell.inspect.features import Characteristic, InspectionPlan, distance_between
+from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch
+from planner.fitting.extremal import Criterion, fit_extremal
+from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, Shape, ShapeKind
+from planner.geometry.closest import ClosestPointQuery
+from planner.registration.rigid import transform_points
+from planner.values import Floats, Ints
+
+RULE = "ISO 14253-1, guard band U (k = 2)"
+DRAWS = 2000
+_DIFFERENCE = 1e-7  # of a component of a shape, for derivatives [m, rad]
+_SECTIONS = 5  # cross-sections of roundness and runout
+_SHARE = 0.05  # smallest measured share of a feature with a value
+_AXIAL = ("cylinder", "cone", "circle")
+
+
+class Verdict(StrEnum):
+    """Conformity of a characteristic."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    UNDECIDED = "undecided"
+    NO_TOLERANCE = "no tolerance"
+    NOT_MEASURED = "not measured"
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """Measured value of a characteristic [mm or deg]; None with the cause if there is none.
+
+    Attributes:
+        characteristic: measured.
+        value: estimate.
+        expanded_uncertainty: U, k = 2.
+        verdict: conformity.
+        method: of the evaluation, in words.
+        cause: reason for a missing value.
+    """
+
+    characteristic: Characteristic
+    value: float | None
+    expanded_uncertainty: float | None
+    verdict: Verdict
+    method: str
+    cause: str = ""
+
+
+def verdict_of(value: float, uncertainty: float, lower: float | None, upper: float | None) -> Verdict:
+    """Return the conformity of a value with limits by ISO 14253-1."""
+    if lower is None and upper is None:
+        return Verdict.NO_TOLERANCE
+    low, high = -np.inf if lower is None else lower, np.inf if upper is None else upper
+    if low + uncertainty <= value <= high - uncertainty:
+        return Verdict.PASS
+    if value < low - uncertainty or value > high + uncertainty:
+        return Verdict.FAIL
+    return Verdict.UNDECIDED
+
+
+Reduce = Callable[[Floats], Floats]
+"""Value (...,) of components (..., m)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """Components of a characteristic.
+
+    Attributes:
+        components: (m,) for shapes by feature and patch.
+        reduce: to a value [m or rad].
+        cells: rows of the components that move with cells: the cells' patch, and the cells.
+        estimate: value that replaces that of the components, such as a minimum zone; None without one.
+        residual: (m, m) projection of the errors of the cells by a fit to them; None without one.
+        method: in words.
+    """
+
+    components: Callable[["Shapes"], Floats]
+    reduce: Reduce
+    method: str
+    cells: tuple[tuple[str, int], ...] = ()
+    estimate: float | None = None
+    residual: Floats | None = None
+
+
+Shapes = Mapping[tuple[str, int], Shape]
+"""Fitted shapes by name of the feature and number of the patch."""
+
+
+def _range(g: Floats) -> Floats:
+    return np.asarray(g.max(axis=-1) - g.min(axis=-1))
+
+
+def _twice_largest(g: Floats) -> Floats:
+    return np.asarray(2 * np.abs(g).max(axis=-1))
+
+
+def _twice_longest(g: Floats) -> Floats:
+    return np.asarray(2 * np.linalg.norm(g.reshape(*g.shape[:-1], -1, 3), axis=-1).max(axis=-1))
+
+
+def _first(g: Floats) -> Floats:
+    return np.asarray(g[..., 0])
+
+
+def _largest_range(sections: Ints) -> Reduce:
+    def reduce(g: Floats) -> Floats:
+        return np.asarray(np.max([_range(g[..., sections == k]) for k in np.unique(sections)], axis=0))
+
+    return reduce
+
+
+@dataclass(slots=True)
+class Evaluation:
+    """Evaluation of the characteristics of a plan on measured features.
+
+    Attributes:
+        plan: features and characteristics.
+        features: measured, by name.
+        nearest: the reference.
+        pose_sd: (V, 2) of the views: position [m] and rotation [rad].
+        seed: of the drawn errors.
+    """
+
+    plan: InspectionPlan
+    features: Mapping[str, MeasuredFeature]
+    nearest: ClosestPointQuery
+    pose_sd: Floats
+    seed: int = 0
+    _frames: dict[object, Floats] = field(default_factory=dict)
+    _errors: dict[tuple[str, int], Floats] = field(default_factory=dict)
+
+    def measure_all(self) -> list[Measurement]:
+        """Return the measurements of all characteristics."""
+        return [self.measure(each) for each in self.plan.characteristics]
+
+    def measure(self, characteristic: Characteristic) -> Measurement:
+        """Return the measurement of a characteristic."""
+        needed = self.plan.features_of(characteristic)
+        for feature in needed:
+            found = self.features[feature.name]
+            causes = [f"{feature.name}: {doubt}" for doubt in found.doubts]
+            if any(patch.cells is not None and patch.share < _SHARE for patch in found.patches):
+                causes.append(f"{feature.name}: less than {_SHARE:.0%} of its area has points")
+            if causes:
+                return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
+        model = self._model(characteristic)
+        shapes = self._shapes(needed_names := [feature.name for feature in needed])
+        g = model.components(shapes)
+        scale = 1000.0 if characteristic.unit == "mm" else float(np.degrees(1.0))
+        value = float(model.reduce(g)) if model.estimate is None else model.estimate
+        uncertainty = self._uncertainty(model, shapes, g, needed_names)
+        value, uncertainty = scale * value, scale * uncertainty
+        verdict = verdict_of(value, uncertainty, characteristic.lower, characteristic.upper)
+        return Measurement(characteristic, value, uncertainty, verdict, model.method)
+
+    # Errors
+
+    def _uncertainty(self, model: _Model, shapes: Shapes, g: Floats, names: Sequence[str]) -> float:
+        """Return the expanded uncertainty [m or rad]."""
+        drawn = np.zeros((DRAWS, len(g)))
+        for key, shape in shapes.items():
+            cells = self._cells(key)
+            used = list(PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind])
+            if not cells.gain.any():
+                continue
+            J = np.empty((len(g), len(used)))
+            for k, component in enumerate(used):
+                ends = []
+                for step in (-_DIFFERENCE, _DIFFERENCE):
+                    change = np.zeros(N_COMPONENTS)
+                    change[component] = step
+                    ends.append(model.components({**shapes, key: shape.changed(change)}))
+                J[:, k] = (ends[1] - ends[0]) / (2 * _DIFFERENCE)
+            drawn += self._drawn(key) @ cells.gain[used].T @ J.T
+        start = 0
+        for key in model.cells:
+            dense = self._cells(key).is_dense
+            errors = self._drawn(key)[:, dense]
+            drawn[:, start : start + errors.shape[1]] += errors
+            start += errors.shape[1]
+        if model.residual is not None:
+            drawn = drawn @ model.residual.T
+        values = model.reduce(g + drawn)
+        # Noise widens the zone of a perfect element most; the measured zone contains its own noise already.
+        bias = float(model.reduce(drawn).mean() if model.cells else values.mean() - model.reduce(g))
+        spread = float(values.std())
+        return float(np.hypot(bias, 2 * spread))
+
+    def _drawn(self, key: tuple[str, int]) -> Floats:
+        """Return drawn errors (DRAWS, C) of the cells of a patch; those of a view are common to all patches."""
+        if key not in self._errors:
+            cells = self._cells(key)
+            sd = np.repeat(self.pose_sd, 3, axis=1)
+            poses = np.random.default_rng([self.seed, 0]).standard_normal((DRAWS, *sd.shape)) * sd
+            number = list(self.features).index(key[0])
+            noise = np.random.default_rng([self.seed, 1, number, key[1]]).standard_normal((DRAWS, len(cells.noise)))
+            lever = cells.lever.reshape(len(cells.noise), -1)
+            self._errors[key] = noise * cells.noise + poses.reshape(DRAWS, -1) @ lever.T
+        return self._errors[key]
+
+    # Shapes
+
+    def _patch(self, key: tuple[str, int]) -> MeasuredPatch:
+        return self.features[key[0]].patches[key[1]]
+
+    def _cells(self, key: tuple[str, int]) -> Cells:
+        cells = self._patch(key).cells
+        assert cells is not None, "a feature without points has no value"
+        return cells
+
+    def _shapes(self, names: Sequence[str]) -> dict[tuple[str, int], Shape]:
+        found = {}
+        for name in names:
+            for k, patch in enumerate(self.features[name].patches):
+                assert patch.shape is not None, "a feature without points has no value"
+                found[name, k] = patch.shape
+        return found
+
+    def _nominal(self, key: tuple[str, int]) -> Shape:
+        patch = self._patch(key).patch
+        shape = patch.shape
+        return Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis)) if shape is None else shape
+
+    def _datum_shape(self, name: str, shapes: Shapes | None) -> Shape:
+        """Return the measured (or, for None, nominal) element of a datum: of a width the middle plane."""
+        feature = self.features[name].feature
+        first = self._nominal((name, 0)) if shapes is None else shapes[name, 0]
+        if feature.kind == "circle":
+            return Shape(ShapeKind.CIRCLE, first.point, first.axis, first.size)
+        if feature.kind != "width":
+            return first
+        return self._middle(name, shapes)
+
+    def _middle(self, name: str, shapes: Shapes | None) -> Shape:
+        """Return the middle plane of a width, with the normal of its first plane."""
+        nominal = [self._nominal((name, k)) for k in range(2)]
+        found = nominal if shapes is None else [shapes[name, k] for k in range(2)]
+        sign = 1.0 if float(nominal[0].axis @ nominal[1].axis) >= 0 else -1.0
+        axis = found[0].axis + sign * found[1].axis
+        axis /= np.linalg.norm(axis)
+        points = [each.at_foot(at.point).point for each, at in zip(found, nominal, strict=True)]
+        return Shape(ShapeKind.PLANE, (points[0] + points[1]) / 2, axis)
+
+    def frame(self, datums: Sequence[str], shapes: Shapes) -> Floats:
+        """Return the motion (4, 4) that moves measured datums to nominal ones."""
+        names = [self.plan.datum(letter).name for letter in datums]
+        if not names:
+            return np.eye(4)
+        measured = [self._datum_shape(name, shapes) for name in names]
+        key = (tuple(names), b"".join(np.array([*each.point, *each.axis]).tobytes() for each in measured))
+        if key not in self._frames:
+            nominal = [self._datum_shape(name, None) for name in names]
+            self._frames[key] = datum_frame(nominal, measured, self.nearest.mesh.diagonal / 2)
+        return self._frames[key]
+
+    # Models
+
+    def _model(self, c: Characteristic) -> _Model:
+        match c.kind:
+            case "size" | "distance" | "angle":
+                return self._dimension(c)
+            case "form" | "roundness":
+                return self._form(c)
+            case "position" | "coaxiality":
+                return self._position(c)
+            case "profile":
+                return self._profile(c)
+            case "runout" | "total-runout":
+                return self._runout(c)
+        return self._orientation(c)
+
+    def _dimension(self, c: Characteristic) -> _Model:
+        own, kind = (c.feature, 0), self.features[c.feature].feature.kind
+        if c.kind == "size" and kind == "cone":
+            return _Model(lambda s: np.array([2 * s[own].half_angle]), _first, "least-squares cone")
+        if c.kind == "size" and kind != "width":
+            if c.criterion == "least-squares":
+                return _Model(lambda s: np.array([2 * s[own].size]), _first, f"least-squares {kind}")
+            criterion = Criterion.INSCRIBED if c.criterion == "inscribed" else Criterion.CIRCUMSCRIBED
+            points, sign = self._dense_points(own), 1.0 if criterion is Criterion.CIRCUMSCRIBED else -1.0
+            size = fit_extremal(criterion, points, self._patch_shape(own)).shape.size
+            return _Model(
+                lambda s: s[own].size + s[own].distances(points),
+                lambda g: 2 * sign * (sign * g).max(axis=-1),
+                f"{criterion.value} {kind}",
+                (own,),
+                2 * size,
+            )
+        other = (c.feature, 1) if c.to is None else (c.to, 0)
+        one, two = self._nominal(own), self._nominal(other)
+        if c.kind == "angle":
+            drawn = np.degrees(np.arccos(np.clip(one.axis @ two.axis, -1, 1)))
+            sign = -1.0 if abs(180 - drawn - c.nominal) < abs(drawn - c.nominal) else 1.0
+
+            def angle(s: Shapes) -> Floats:
+                return np.array([np.arccos(np.clip(sign * s[own].axis @ s[other].axis, -1, 1))])
+
+            return _Model(angle, _first, "angle of least-squares elements")
+        kinds = [self.features[key[0]].feature.kind.replace("width", "plane") for key in (own, other)]
+
+        def distance(s: Shapes) -> Floats:
+            first, second = s[own].at_foot(one.point), s[other].at_foot(two.point)
+            axis = second.axis
+            if kind == "width":
+                axis = self._middle(c.feature, s).axis
+            return np.array([distance_between(second.point - first.point, kinds[0], first.axis, kinds[1], axis)])
+
+        return _Model(distance, _first, "distance of least-squares elements at their middles")
+
+    def _patch_shape(self, key: tuple[str, int]) -> Shape:
+        shape = self._patch(key).shape
+        assert shape is not None, "a feature without points has no value"
+        return shape
+
+    def _dense_points(self, key: tuple[str, int]) -> Floats:
+        cells = self._cells(key)
+        return np.asarray(cells.points[cells.is_dense])
+
+    def _form(self, c: Characteristic) -> _Model:
+        own = (c.feature, 0)
+        points, shape = self._dense_points(own), self._patch_shape(own)
+
+        def residuals(s: Shapes) -> Floats:
+            if s[own].kind is not ShapeKind.CIRCLE:
+                return s[own].distances(points)
+            across = points - s[own].point
+            across = across - (across @ s[own].axis)[:, None] * s[own].axis
+            return np.asarray(np.linalg.norm(across, axis=1) - s[own].size)
+
+        if c.kind == "form":
+            zone = fit_extremal(Criterion.ZONE, points, shape).zone
+            return _Model(residuals, _range, "minimum zone of cell means", (own,), zone)
+        sections = _sections((points - shape.point) @ shape.axis)
+        zones = []
+        for k in np.unique(sections):
+            ring = points[sections == k]
+            at = shape.at_foot(ring.mean(axis=0))
+            circle = Shape(ShapeKind.CIRCLE, at.point, at.axis, at.size / np.cos(at.half_angle))
+            ring = ring - ((ring - at.point) @ at.axis)[:, None] * at.axis
+            zones.append(fit_extremal(Criterion.ZONE, ring, circle).zone)
+        method = f"minimum zone of cell means in {len(zones)} cross-sections"
+        return _Model(residuals, _largest_range(sections), method, (own,), max(zones))
+
+    def _position(self, c: Characteristic) -> _Model:
+        own, kind = (c.feature, 0), self.features[c.feature].feature.kind
+        nominal, corners = self._nominal(own), self._patch(own).corners
+        if kind in ("plane", "width"):
+            middle = self._datum_shape(c.feature, None)
+            if kind == "width":
+                corners = np.concatenate([self._patch((c.feature, k)).corners for k in range(2)])
+                corners = corners - ((corners - middle.point) @ middle.axis)[:, None] * middle.axis
+
+            def offsets(s: Shapes) -> Floats:
+                there = moved(self._datum_shape(c.feature, s), self.frame(c.datums, s))
+                return np.asarray((there.point - corners) @ there.axis / (middle.axis @ there.axis))
+
+            return _Model(offsets, _twice_largest, f"least-squares {'middle plane' if kind == 'width' else kind}")
+
+        def ends(s: Shapes) -> Floats:
+            there = moved(s[own], self.frame(c.datums, s))
+            if kind in ("sphere", "circle"):
+                off = there.point - nominal.point
+                return np.asarray(off if kind == "sphere" else off - (off @ nominal.axis) * nominal.axis)
+            off = there.point - corners
+            along = (off @ nominal.axis) / (there.axis @ nominal.axis)
+            return np.asarray((off - along[:, None] * there.axis).ravel())
+
+        where = "centre" if kind in ("sphere", "circle") else "axis at its ends"
+        return _Model(ends, _twice_longest, f"least-squares {kind}, {where}")
+
+    def _orientation(self, c: Characteristic) -> _Model:
+        own, datum = (c.feature, 0), self.plan.datum(c.datums[0]).name
+        nominal, base = self._nominal(own), self._datum_shape(datum, None)
+        angle = float(np.arccos(np.clip(nominal.axis @ base.axis, -1, 1)))
+        extents = np.ptp(self._patch(own).corners @ nominal.axis)
+
+        def ideal(s: Shapes) -> Floats:
+            """Return the direction nearest to the axis at the nominal angle to the datum, or fixed by several."""
+            if len(c.datums) > 1:
+                return np.asarray(self.frame(c.datums, s)[:3, :3].T @ nominal.axis)
+            a, n = self._datum_shape(datum, s).axis, s[own].axis
+            across = n - (n @ a) * a
+            length = float(np.linalg.norm(across))
+            return np.asarray(np.cos(angle) * a + np.sin(angle) * across / max(length, 1e-300))
+
+        if nominal.kind is ShapeKind.PLANE:
+            points = self._dense_points(own)
+            return _Model(lambda s: points @ ideal(s), _range, "zone of cell means", (own,))
+
+        def deviation(s: Shapes) -> Floats:
+            return np.asarray(extents * (s[own].axis - ideal(s)))
+
+        return _Model(deviation, lambda g: _twice_longest(g) / 2, "least-squares axis over its length")
+
+    def _profile(self, c: Characteristic) -> _Model:
+        keys = [(c.feature, k) for k in range(len(self.features[c.feature].patches))]
+        points = [self._dense_points(key) for key in keys]
+        T_own, residual = np.eye(4), None
+        if not c.datums:
+            T_own, residual = self._own_fit(keys, points)
+
+        def deviations(s: Shapes) -> Floats:
+            T = self.frame(c.datums, s) if c.datums else T_own
+            return np.concatenate(
+                [self._deviation(key, transform_points(T, own)) for key, own in zip(keys, points, strict=True)]
+            )
+
+        how = "datums" if c.datums else "its best fit"
+        return _Model(deviations, _twice_largest, f"cell means, aligned by {how}", tuple(keys), None, residual)
+
+    def _deviation(self, key: tuple[str, int], points: Floats) -> Floats:
+        """Return the distance (N,) of points (N, 3) from the nominal surface of a patch [m]."""
+        shape = self._patch(key).patch.shape
+        if shape is not None:
+            return shape.distances(points)
+        closest = self.nearest.closest(points)
+        return np.asarray(np.einsum("nj,nj->n", points - closest.point, self.nearest.normals(closest)))
+
+    def _own_fit(self, keys: Sequence[tuple[str, int]], points: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Return the best fit (4, 4) of cells to their nominal surfaces, and the projection of their errors."""
+        from planner.registration.rigid import motion_from_vector
+
+        T, every = np.eye(4), np.concatenate(points)
+        normals = np.concatenate([self._cells(key).normals[self._cells(key).is_dense] for key in keys])
+        centre = every.mean(axis=0)
+        length = float(np.sqrt(np.mean(((every - centre) ** 2).sum(axis=1)))) or 1.0
+        J = np.hstack([normals, np.cross((every - centre) / length, normals)])
+        inverse = np.linalg.pinv(J, rcond=1e-3)
+        for _ in range(4):
+            pairs = zip(keys, points, strict=True)
+            off = np.concatenate([self._deviation(key, transform_points(T, own)) for key, own in pairs])
+            change = -inverse @ off
+            T = motion_from_vector(np.concatenate([change[:3], change[3:] / length]), centre) @ T
+        return T, np.eye(len(every)) - J @ inverse
+
+    def _runout(self, c: Characteristic) -> _Model:
+        own, datum = (c.feature, 0), self.plan.datum(c.datums[0]).name
+        points, nominal = self._dense_points(own), self._nominal(own)
+
+        def radial(axis: Shape) -> Floats:
+            off = points - axis.point
+            return np.asarray(np.linalg.norm(off - (off @ axis.axis)[:, None] * axis.axis, axis=1))
+
+        def deviations(s: Shapes) -> Floats:
+            axis = self._datum_shape(datum, s)
+            if nominal.kind is ShapeKind.PLANE:
+                return np.asarray((points - axis.point) @ axis.axis)
+            return radial(axis)
+
+        if c.kind == "total-runout":
+            return _Model(deviations, _range, "range of cell means about the datum axis", (own,))
+        axis = self._datum_shape(datum, self._shapes([datum]))
+        along = radial(axis) if nominal.kind is ShapeKind.PLANE else (points - axis.point) @ axis.axis
+        method = f"range of cell means in {_SECTIONS} cross-sections about the datum axis"
+        return _Model(deviations, _largest_range(_sections(along)), method, (own,))
+
+
+def _sections(heights: Floats) -> Ints:
+    """Return the number of the cross-section of each height; all have about as many cells."""
+    ends = np.quantile(heights, np.linspace(0, 1, _SECTIONS + 1)[1:-1])
+    return np.searchsorted(ends, heights).astype(np.int64)

@@ -1,0 +1,220 @@
+"""Inspection of points: characteristics of a scene or a QIF file, alignment, evaluation, files of the results."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cell.errors import SceneError
+from cell.files import read_bytes
+from cell.inspect import pictures, qif
+from cell.inspect.alignment import fit_reference_points
+from cell.inspect.evaluation import Evaluation
+from cell.inspect.features import InspectionPlan, resolve_features
+from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
+from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.qif_results import qif_results
+from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown
+from cell.part.workpiece import Workpiece
+from cell.runs.run import Run
+from cell.runs.schema import parsed
+from cell.scene.model import Scene
+from planner.geometry.mesh import TriangleMesh
+from planner.ports import RayCaster, Scanner
+from planner.registration.cloud import ScanCloud
+from planner.registration.registration import register
+from planner.registration.rigid import transform_points
+from planner.values import Floats, Ints
+
+FEATURES, RESULTS, PREDICTED, TABLE, QIF_SOURCE, QIF_RESULTS, PAGE = (
+    "features.json", "features.json", "uncertainty.json", "characteristics.csv", "characteristics.qif", "results.qif",
+    "features.html",
+)  # fmt: skip
+_RPS_POINTS = 12  # measured points near a reference point, whose mean is used
+_FIT_POINTS = 20_000  # of the best fit
+
+
+def plan_inspection(scene: Scene, part: Workpiece) -> InspectionPlan | None:
+    """Return the features and characteristics of a scene and its QIF file on a part; None if there are none.
+
+    Raises:
+        SceneError: if a feature does not fit the part.
+        FileError: if the QIF file cannot be used.
+    """
+    settings, tables = scene.inspection, list(scene.feature)
+    if not tables and settings.qif is None:
+        return None
+    features, characteristics = resolve_features(part, tables)
+    source, unsupported, notes = "scene", list[str](), list[str]()
+    if settings.qif is not None:
+        content = qif.read_qif(Path(settings.qif), part)
+        unsupported, notes = content.unsupported, content.notes
+        more, further = resolve_features(part, content.features, unsupported)
+        if twice := {each.datum for each in features if each.datum} & {each.datum for each in more}:
+            raise SceneError(
+                f"the scene and the QIF file both define the datum {min(map(str, twice))}; omit one of them"
+            )
+        start = len(characteristics)
+        characteristics += tuple(each.model_copy(update={"id": each.id + start}) for each in further)
+        features += more
+        source = Path(settings.qif).name + (" and scene" if tables else "")
+    return InspectionPlan(
+        source=source,
+        features=features,
+        characteristics=characteristics,
+        unsupported=tuple(unsupported),
+        notes=tuple(notes),
+        u_over_t=settings.u_over_t,
+        alignment=settings.alignment,
+        rps=tuple((each.point_mm, each.direction, each.weight) for each in settings.rps),
+        edge_mm=settings.edge_mm,
+        reach_mm=settings.reach_mm,
+    )
+
+
+def read_plan(run: Run) -> InspectionPlan | None:
+    """Return the features and characteristics of a run; None without them."""
+    return parsed(InspectionPlan, run.artefact(FEATURES), run.folder / FEATURES) if run.has(FEATURES) else None
+
+
+def qif_source(scene: Scene) -> bytes | None:
+    """Return the content of the QIF file of a scene; None without one."""
+    return None if scene.inspection.qif is None else read_bytes(Path(scene.inspection.qif))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspected:
+    """Result of an inspection with its measured features.
+
+    Attributes:
+        result: content of features.json.
+        features: measured, by name.
+        plan: features and characteristics.
+        reference: the part.
+    """
+
+    result: InspectionResult
+    features: dict[str, MeasuredFeature]
+    plan: InspectionPlan
+    reference: TriangleMesh
+
+    def write(self, write: Callable[[str, bytes], None], source: bytes | None) -> None:
+        """Write features.json, the table, the page, and QIF results if the characteristics are from a QIF file.
+
+        Args:
+            write: writes a file by its name.
+            source: the QIF file.
+        """
+        result = self.result
+        write(RESULTS, (result.model_dump_json(indent=2) + "\n").encode())
+        write(TABLE, as_csv(result).encode())
+        write(PAGE, pictures.features_page(self.reference, self.plan, result, self.features).encode())
+        if source is not None and any(each.source_id for each in result.characteristics):
+            write(QIF_RESULTS, qif_results(source, result))
+
+    def section(self) -> list[str]:
+        """Return the section of a report."""
+        return markdown(self.result)
+
+
+def inspect_points(
+    plan: InspectionPlan,
+    reference: TriangleMesh,
+    measured: MeasuredPoints,
+    *,
+    part: str,
+    source: str,
+    is_simulated: bool,
+    on_reference: bool = False,
+    aligned: str = "",
+    notes: tuple[str, ...] = (),
+) -> Inspected:
+    """Align points, associate them with the features, and evaluate the characteristics.
+
+    Args:
+        plan: features and characteristics.
+        reference: the part.
+        measured: points near the part, object frame.
+        part: its name.
+        source: of the points, in words.
+        is_simulated: whether they are simulated.
+        on_reference: whether they were simulated on the triangles of the reference; these approximate its surfaces.
+        aligned: alignment that the points have already, in words.
+        notes: for the results.
+    """
+    association = Association(reference, plan)
+    if on_reference:
+        measured = replace(measured, points=association.without_facets(measured.points))
+    T, words = align(plan, association, measured.points)
+    if not np.array_equal(T, np.eye(4)):
+        measured = replace(
+            measured,
+            points=transform_points(T, measured.points),
+            origins=transform_points(T, measured.origins),
+        )
+    features = measure_features(association, measured)
+    measurements = Evaluation(plan, features, association.nearest, measured.pose_sd).measure_all()
+    result = inspection_result(
+        plan, measurements, features, part=part, source=source, alignment="; ".join(filter(None, [aligned, words])),
+        is_simulated=is_simulated, notes=notes,
+    )  # fmt: skip
+    return Inspected(result, features, plan, reference)
+
+
+def align(plan: InspectionPlan, association: Association, points: Floats) -> tuple[Floats, str]:
+    """Return the motion (4, 4) of points (N, 3) to the part, and the alignment in words."""
+    frames = sorted({"|".join(each.datums) for each in plan.characteristics if each.datums})
+    datums = f"; by the datums of each characteristic: {', '.join(frames)}" if frames else ""
+    if plan.alignment == "none" or not len(points):
+        return np.eye(4), f"points as given{datums}"
+    if plan.alignment == "best-fit":
+        chosen = points[np.linspace(0, len(points) - 1, min(len(points), _FIT_POINTS)).astype(np.int64)]
+        found = register([ScanCloud(chosen, np.zeros(3))], association.nearest).scans[0]
+        how = "robust weights" if found.is_corrected else f"not applied: {found.status.value}"
+        return found.T_correction, f"best fit of all points, {how}{datums}"
+    nominal = np.array([point for point, _, _ in plan.rps]) / 1000
+    directions = np.array([direction for _, direction, _ in plan.rps], dtype=np.float64)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    weights, T = np.array([weight for _, _, weight in plan.rps]), np.eye(4)
+    for _ in range(3):  # other points are nearest after each step
+        there = transform_points(T, points)
+        rows: Ints = np.asarray(cKDTree(there).query(nominal, min(_RPS_POINTS, len(there)))[1]).reshape(
+            len(nominal), -1
+        )
+        near = there[rows]
+        normals = association.nearest.normals(association.nearest.closest(near.mean(axis=1)))
+        step, left = fit_reference_points(nominal, directions, weights, near.mean(axis=1), normals)
+        T = step @ T
+    worst = 1000 * float(np.abs(left).max())
+    return T, f"reference point system of {len(nominal)} points, largest deviation {worst:.4f} mm{datums}"
+
+
+def predict_plan(
+    plan: InspectionPlan,
+    reference: TriangleMesh,
+    T_object_poses: Floats,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+    pose_sd: tuple[float, float],
+    part: str,
+) -> InspectionResult:
+    """Predict the uncertainty of the characteristics by the views of a plan.
+
+    Args:
+        plan: features and characteristics.
+        reference: the part.
+        T_object_poses: (n, K, 4, 4) poses of the views [m].
+        scanner: with a model of the standard deviation of its points.
+        casters: of the part and of occluders.
+        pose_sd: standard deviations of executed poses [mm, deg].
+        part: its name.
+    """
+    association = Association(reference, plan)
+    features = predict_features(association, T_object_poses, scanner, casters)
+    sd = np.tile([pose_sd[0] / 1000, np.radians(pose_sd[1])], (len(T_object_poses), 1))
+    return inspection_result(
+        plan, predicted_measurements(plan, association, features, sd), features, part=part,
+        source=f"{len(T_object_poses)} planned views", alignment="", is_simulated=False, is_predicted=True,
+    )  # fmt: skip

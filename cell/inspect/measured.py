@@ -1,0 +1,344 @@
+"""Measured features: points associated with the patches of a part, fitted shapes, and cells with their errors.
+
+A point belongs to the patch that contains its closest point on the reference, if it is near and not at an edge. Points
+are combined in cells. The mean of a cell averages noise, so that form is not the range of the noise of single points,
+and carries the errors of its views: uncertainty follows from cells alone. The points of a plan are cells that have no
+measured points yet. Object frame, metres.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cell.inspect.features import Feature, InspectionPlan, Patch, PatchSurface, patch_surface
+from planner.fitting.least_squares import MIN_POINTS, Fit, fit
+from planner.fitting.shapes import N_COMPONENTS, Shape, ShapeKind
+from planner.geometry.closest import ClosestPointQuery
+from planner.geometry.mesh import TriangleMesh
+from planner.values import Bools, Floats, Ints, Value
+
+CELLS = 300
+"""About the number of cells of a patch: enough for the form of a surface, few enough that noise averages."""
+
+MAX_POINTS = 100_000
+"""Points of a patch; more are thinned evenly."""
+
+_CELL_POINTS = 16  # points of a cell where a patch has few
+_OUTLIER = 6.0  # robust standard deviations beyond which a point is no part of the surface
+_EDGE_SHARE = 6.0  # the edge band is at most this part of a patch's width
+_SPARSE = 0.3  # of the median number of points: a cell with fewer is not used for form
+_EXACT = 1e-6  # m; points nearer than this to a shape are on it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPoints(Value):
+    """Points with their errors.
+
+    Attributes:
+        points: (N, 3) [m].
+        sigma: (N,) expected standard deviation along the surface normal [m]; 0 if it is not known.
+        view: (N,) index of the view of each point.
+        origins: (V, 3) scanner of each view, about which its pose is uncertain [m].
+        pose_sd: (V, 2) standard deviation of its position along each axis [m] and rotation about each axis [rad].
+    """
+
+    points: Annotated[Floats, "N 3"]
+    sigma: Annotated[Floats, "N"]
+    view: Annotated[Ints, "N"]
+    origins: Annotated[Floats, "V 3"]
+    pose_sd: Annotated[Floats, "V 2"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells(Value):
+    """Cells of a patch.
+
+    Attributes:
+        points: (C, 3) means on the measured surface [m].
+        normals: (C, 3) of the surface.
+        noise: (C,) standard deviation of the mean from independent errors of the points [m].
+        lever: (C, V, 6) displacement along the normal per translation and rotation of each view.
+        gain: (7, C) change of the fitted shape per displacement of a cell along its normal.
+        is_dense: (C,) whether a cell has enough points for form.
+    """
+
+    points: Annotated[Floats, "C 3"]
+    normals: Annotated[Floats, "C 3"]
+    noise: Annotated[Floats, "C"]
+    lever: Annotated[Floats, "C V 6"]
+    gain: Annotated[Floats, "7 C"]
+    is_dense: Annotated[Bools, "C"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPatch:
+    """A patch with its points.
+
+    Attributes:
+        patch: nominal.
+        shape: fitted; the nominal one of a mesh without parameters, None if nothing is measured.
+        cells: None if nothing is measured.
+        corners: (K, 3) ends of its axis, or corners of its bounding rectangle [m].
+        n_points: used points.
+        n_outliers: points that are not used because they are off the shape.
+        share: of the area that has points.
+        sigma: standard deviation of the points about the shape [m].
+        doubts: reasons why the shape is not determined.
+        missed: demands on a plan that are not met.
+    """
+
+    patch: Patch
+    shape: Shape | None
+    cells: Cells | None
+    corners: Floats
+    n_points: int = 0
+    n_outliers: int = 0
+    share: float = 0.0
+    sigma: float = 0.0
+    doubts: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredFeature:
+    """A feature with its measured patches."""
+
+    feature: Feature
+    patches: tuple[MeasuredPatch, ...]
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Reasons why it has no value."""
+        return tuple(doubt for each in self.patches for doubt in each.doubts)
+
+
+class Association:
+    """Association of points with the features of a plan.
+
+    Args:
+        reference: the part.
+        plan: features of the part.
+    """
+
+    def __init__(self, reference: TriangleMesh, plan: InspectionPlan) -> None:
+        self.reference, self.plan = reference, plan
+        self.nearest = ClosestPointQuery(reference)
+        self.surfaces: dict[str, list[PatchSurface]] = {
+            feature.name: [patch_surface(reference, patch.triangles) for patch in feature.patches]
+            for feature in plan.features
+        }
+
+    def rows(self, points: Floats) -> dict[str, list[Ints]]:
+        """Return the rows of points (N, 3) that lie on each patch of each feature, away from its edges."""
+        closest = self.nearest.closest(points)
+        near = closest.distance <= self.plan.reach_mm / 1000
+        found: dict[str, list[Ints]] = {}
+        for name, surfaces in self.surfaces.items():
+            found[name] = []
+            for surface in surfaces:
+                own = np.flatnonzero(near & np.isin(closest.face, surface.triangles))
+                found[name].append(own[self.off_edge(surface, closest.point[own])])
+        return found
+
+    def off_edge(self, surface: PatchSurface, points: Floats) -> Bools:
+        """Return whether points (N, 3) of a patch are away from its edges."""
+        band = min(self.plan.edge_mm / 1000, surface.width / _EDGE_SHARE)
+        if not len(points) or not len(surface.outline) or band == 0:
+            return np.ones(len(points), dtype=np.bool_)
+        return np.asarray(cKDTree(surface.outline).query(points)[0]) >= band
+
+    def without_facets(self, points: Floats) -> Floats:
+        """Return points (N, 3) on the triangles of the reference moved to the surfaces that these approximate."""
+        closest, found = self.nearest.closest(points), points.copy()
+        for feature in self.plan.features:
+            for patch, surface in zip(feature.patches, self.surfaces[feature.name], strict=True):
+                shape = patch.shape
+                if shape is not None and shape.kind is not ShapeKind.PLANE:
+                    own = np.flatnonzero(np.isin(closest.face, surface.triangles))
+                    foot = closest.point[own]
+                    found[own] = points[own] - shape.distances(foot)[:, None] * shape.normals(foot)
+        return found
+
+    def corners(self, patch: Patch, surface: PatchSurface) -> Floats:
+        """Return the ends (2, 3) of the axis of a patch, or the corners (4, 3) of a plane's bounding rectangle [m]."""
+        shape = patch.shape
+        vertices = self.reference.vertices[np.unique(self.reference.faces[surface.triangles])]
+        if shape is None or shape.kind is ShapeKind.SPHERE:
+            return vertices.mean(axis=0)[None] if shape is None else shape.point[None]
+        low, high = (
+            ((vertices - shape.point) @ shape.frame).min(axis=0),
+            ((vertices - shape.point) @ shape.frame).max(axis=0),
+        )
+        if shape.kind is ShapeKind.PLANE:
+            local = [(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])]
+        else:
+            local = [(0.0, 0.0, low[2]), (0.0, 0.0, high[2])]
+        return np.asarray(shape.point + np.array(local) @ shape.frame.T)
+
+
+def measure_features(association: Association, measured: MeasuredPoints) -> dict[str, MeasuredFeature]:
+    """Return all features with their fitted shapes, by name."""
+    rows = association.rows(measured.points)
+    return {
+        feature.name: MeasuredFeature(
+            feature,
+            tuple(
+                _measure_patch(association, feature, patch, surface, own, measured)
+                for patch, surface, own in zip(
+                    feature.patches, association.surfaces[feature.name], rows[feature.name], strict=True
+                )
+            ),
+        )
+        for feature in association.plan.features
+    }
+
+
+def _measure_patch(
+    association: Association,
+    feature: Feature,
+    patch: Patch,
+    surface: PatchSurface,
+    rows: Ints,
+    measured: MeasuredPoints,
+) -> MeasuredPatch:
+    shape, corners = patch.shape, association.corners(patch, surface)
+    if len(rows) > MAX_POINTS:
+        rows = rows[np.linspace(0, len(rows) - 1, MAX_POINTS).astype(np.int64)]
+    needed = 1 if shape is None else MIN_POINTS[shape.kind]
+    if len(rows) < max(needed, 1):
+        word = "no point lies" if not len(rows) else f"only {len(rows)} points lie"
+        return MeasuredPatch(patch, None, None, corners, doubts=(f"{word} on it",))
+    area = float(association.reference.areas[surface.triangles].sum())
+    count = len(rows)
+    if shape is None:
+        closest = association.nearest.closest(measured.points[rows])
+        normals = association.nearest.normals(closest)
+        off = np.einsum("nj,nj->n", measured.points[rows] - closest.point, normals)
+        keep = _inliers(off)
+        gain = np.zeros((N_COMPONENTS, int(keep.sum())))
+        rows, off, normals = rows[keep], off[keep], normals[keep]
+        nominal = Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
+        cells, sigma = _cells(measured, rows, nominal, normals, off, gain, area), float(np.std(off))
+        share = _share(association, surface, measured.points[rows])
+        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma)
+    found = fit_patch(feature, shape, measured.points[rows])
+    keep = _inliers(found.residuals)
+    if not keep.all() and keep.sum() >= needed:
+        rows = rows[keep]
+        found = fit_patch(feature, shape, measured.points[rows])
+    normals = found.shape.normals(measured.points[rows]) if feature.kind != "circle" else _radial(found, measured, rows)
+    gain = np.einsum("knj,nj->kn", found.gain, normals)
+    cells = _cells(measured, rows, found.shape, normals, found.residuals, gain, area, found.sigma)
+    share = _share(association, surface, measured.points[rows])
+    return MeasuredPatch(
+        patch, found.shape, cells, corners, len(rows), count - len(rows), share, found.sigma,
+        found.doubts,
+    )  # fmt: skip
+
+
+def fit_patch(feature: Feature, nominal: Shape, points: Floats, weights: Floats | None = None) -> Fit:
+    """Fit the shape of a patch; its axis points as the nominal one. A circle is a cylinder with the nominal axis."""
+    if feature.kind != "circle":
+        found = fit(nominal.kind, points, nominal, weights)
+        turned = nominal.kind is ShapeKind.CYLINDER and float(found.shape.axis @ nominal.axis) < 0
+        return replace_axis(found) if turned else found
+    along = (points - nominal.point) @ nominal.axis
+    flat = points - along[:, None] * nominal.axis
+    found = fit(ShapeKind.CIRCLE, flat, Shape(ShapeKind.CIRCLE, nominal.point, nominal.axis, nominal.size), weights)
+    residuals = np.linalg.norm(flat - found.shape.point, axis=1) - found.shape.size
+    across = np.eye(3) - np.outer(nominal.axis, nominal.axis)
+    shape = Shape(ShapeKind.CIRCLE, found.shape.point, nominal.axis, found.shape.size)
+    # The frame of a circle depends on its axis alone, which the projection makes the nominal one.
+    turn = shape.frame.T @ found.frame
+    gain = found.gain @ across
+    gain[:2] = np.einsum("ij,jnk->ink", turn[:2, :2], gain[:2])
+    gain[2:5] = 0.0
+    return Fit(shape, shape.frame, residuals, gain, found.condition, found.doubts)
+
+
+def replace_axis(found: Fit) -> Fit:
+    """Return the same fit of a cylinder with its axis reversed."""
+    shape = Shape(found.shape.kind, found.shape.point, -found.shape.axis, found.shape.size)
+    turn = shape.frame.T @ found.frame
+    gain = found.gain.copy()
+    gain[:3] = np.einsum("ij,jnk->ink", turn, found.gain[:3])
+    gain[3:5] = -np.einsum("ij,jnk->ink", turn[:2, :2], found.gain[3:5])
+    return replace(found, shape=shape, frame=shape.frame, gain=gain)
+
+
+def _radial(found: Fit, measured: MeasuredPoints, rows: Ints) -> Floats:
+    off = measured.points[rows] - found.shape.point
+    off = off - (off @ found.shape.axis)[:, None] * found.shape.axis
+    return np.asarray(off / np.maximum(np.linalg.norm(off, axis=1), np.finfo(float).tiny)[:, None])
+
+
+def _inliers(residuals: Floats) -> Bools:
+    middle = float(np.median(residuals))
+    scale = max(1.4826 * float(np.median(np.abs(residuals - middle))), _EXACT)
+    return np.asarray(np.abs(residuals - middle) <= _OUTLIER * scale)
+
+
+def _share(association: Association, surface: PatchSurface, points: Floats) -> float:
+    """Return the share of the area of a patch near points: within a tenth of its width, or its middle triangles."""
+    mesh = association.reference
+    centres, areas = mesh.centres[surface.triangles], mesh.areas[surface.triangles]
+    reach = np.maximum(surface.width / 4, np.sqrt(areas))
+    distance = np.asarray(cKDTree(points).query(centres)[0])
+    return float(areas[distance <= reach].sum() / areas.sum())
+
+
+def cells_of_points(count: int) -> int:
+    """Return the number of cells for a number of points of a patch."""
+    return int(min(CELLS, max(count / _CELL_POINTS, 12)))
+
+
+def _cells(
+    measured: MeasuredPoints, rows: Ints, shape: Shape, normals: Floats, residuals: Floats, gain: Floats, area: float,
+    scatter: float = 0.0,
+) -> Cells:  # fmt: skip
+    """Combine points in the cells of a grid."""
+    points = measured.points[rows]
+    size = np.sqrt(area / cells_of_points(len(rows)))
+    feet = points - residuals[:, None] * normals
+    local = (feet - shape.point) @ shape.frame  # in which a plane lies in the middle of one layer
+    _, cell = np.unique(np.floor(local / size + 0.5).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.ravel()
+    count = np.bincount(cell)
+    n_cells, n_views = len(count), len(measured.origins)
+
+    def total(values: Floats) -> Floats:
+        return np.bincount(cell, weights=values, minlength=n_cells).astype(np.float64)
+
+    # The middle of the feet leaves a curved surface; the foot nearest to it does not.
+    middle = np.stack([total(column) for column in feet.T], axis=1) / count[:, None]
+    away = np.linalg.norm(feet - middle[cell], axis=1)
+    order = np.lexsort((away, cell))
+    first = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
+    means = total(residuals) / count
+    sigma = measured.sigma[rows]
+    view = measured.view[rows]
+    columns = np.hstack([normals, np.cross(points - measured.origins[view], normals)])
+    of_poses = float(np.mean((columns**2 @ np.repeat(measured.pose_sd.T**2, 3, axis=0))[np.arange(len(rows)), view]))
+    # Scatter beyond the models of scanner and poses, or in their absence, is noise of the points.
+    known, left = float(np.mean(sigma**2)), max(scatter**2 - of_poses, 0.0)
+    sigma = sigma * max(1.0, np.sqrt(left / known)) if known > 0 else np.full(len(rows), np.sqrt(left))
+    noise = np.sqrt(total(sigma**2)) / count
+    lever = np.zeros((n_cells, n_views, 6))
+    for k in range(6):
+        np.add.at(lever[:, :, k], (cell, view), columns[:, k])
+    return Cells(
+        feet[first] + means[:, None] * normals[first],
+        normals[first],
+        noise,
+        lever / count[:, None, None],
+        np.stack([total(row) for row in gain]),
+        count >= _SPARSE * np.median(count),
+    )
+
+
+def patches_of(features: Mapping[str, MeasuredFeature], names: Sequence[str]) -> list[MeasuredPatch]:
+    """Return the patches of some features, in order."""
+    return [patch for name in names for patch in features[name].patches]

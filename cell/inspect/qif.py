@@ -1,0 +1,352 @@
+"""Reading of QIF 3 files (ISO 23952): features and characteristics as tables of the scene.
+
+The QIF file describes the same model as the STEP file. A feature of it names faces of its own model; such a face is the
+CAD face of the part on the same surface at whose mesh vertices the corners of the face lie. Values have the unit that
+their attribute names, else the primary unit of the file. Every characteristic is either read or named in `unsupported`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from pydantic import ValidationError
+
+from cell.errors import FileError
+from cell.files import read_bytes
+from cell.inspect.features import same_surface
+from cell.part.cad import CadModel, SurfaceKind
+from cell.part.workpiece import Workpiece
+from cell.scene.features import CharacteristicTable, FeatureTable
+from planner.geometry.closest import ClosestPointQuery
+from planner.geometry.mesh import TriangleMesh
+from planner.values import Floats
+
+_NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
+_SURFACES = {
+    "Plane23": SurfaceKind.PLANE,
+    "Cylinder23": SurfaceKind.CYLINDER,
+    "Cone23": SurfaceKind.CONE,
+    "Sphere23": SurfaceKind.SPHERE,
+    "Torus23": SurfaceKind.TORUS,
+}
+_KINDS = {
+    "Diameter": "size", "Width": "size", "Angle": "angle", "AngleBetween": "angle", "DistanceBetween": "distance",
+    "Flatness": "form", "Circularity": "roundness", "Cylindricity": "form", "Sphericity": "form", "Conicity": "form",
+    "Position": "position", "Parallelism": "parallelism", "Perpendicularity": "perpendicularity",
+    "Angularity": "angularity", "SurfaceProfile": "profile", "CircularRunout": "runout",
+    "TotalRunout": "total-runout", "Concentricity": "coaxiality", "Coaxiality": "coaxiality",
+}  # fmt: skip
+_FEATURES = {
+    "Plane": "plane", "Cylinder": "cylinder", "CylindricalSegment": "cylinder", "Cone": "cone", "Sphere": "sphere",
+    "OppositeParallelPlanes": "width", "OppositeAngledPlanes": "width", "OtherNonShape": "surface",
+    "OtherSurface": "surface", "Freeform": "surface", "PointDefinedSurface": "surface",
+}  # fmt: skip
+
+
+@dataclass
+class QifContent:
+    """Content of a QIF file.
+
+    Attributes:
+        features: with their characteristics.
+        unsupported: a sentence about each item that is left out.
+        notes: doubts about the file.
+        n_characteristics: number of characteristics in the file.
+    """
+
+    features: list[FeatureTable] = field(default_factory=list)
+    unsupported: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    n_characteristics: int = 0
+
+
+class _UnsupportedError(Exception):
+    """An item that cannot be used; the message is the cause."""
+
+
+def parse(path: Path) -> ElementTree.Element:
+    """Return the root of a QIF file, with tags without namespace.
+
+    Raises:
+        FileError: if it is no QIF 3 file.
+    """
+    try:
+        content = read_bytes(path)
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
+    if b"<!ENTITY" in content:
+        raise FileError(f"{path} declares entities, which a QIF file has no use for; export it again")
+    try:
+        root = ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise FileError(f"{path} is not valid XML: {error}; export it again") from error
+    if not root.tag.endswith("}QIFDocument") or "qif3" not in root.tag:
+        raise FileError(f"{path} is not a QIF 3 document; export it as QIF 3")
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return root
+
+
+def read_qif(path: Path, part: Workpiece) -> QifContent:
+    """Read features and characteristics of a QIF file for a part with CAD faces.
+
+    Raises:
+        FileError: if the file is no QIF 3 file, or the part is a mesh.
+    """
+    if part.cad is None:
+        raise FileError(f"{path} names CAD faces, and {part.name} is a mesh; give the part as STEP")
+    return _Reader(parse(path), part, part.cad).read()
+
+
+class _Reader:
+    """Conversion of a document."""
+
+    def __init__(self, root: ElementTree.Element, part: Workpiece, cad: CadModel) -> None:
+        self._root, self._cad = root, cad
+        self._by_id = {each.get("id"): each for each in root.iter() if each.get("id")}
+        self._linear, self._primary = self._units("LinearUnit")
+        self._faces = _FaceFinder(self._by_id, self._primary, part, cad)
+        self._tables: dict[tuple[int, ...], dict[str, object]] = {}
+        self._found = QifContent()
+        self._letters: dict[str, str] = {}
+        self._linear_units_used: dict[str, list[str]] = {}
+
+    def read(self) -> QifContent:
+        found = self._found
+        for definition in self._root.iterfind("DatumDefinitions/DatumDefinition"):
+            letter = definition.findtext("DatumLabel") or ""
+            try:
+                self._add_datum(letter, definition)
+            except _UnsupportedError as error:
+                found.unsupported.append(f"datum {letter}: {error}")
+        for nominal in self._root.iterfind("Characteristics/CharacteristicNominals/*"):
+            found.n_characteristics += 1
+            kind, name = nominal.tag.removesuffix("CharacteristicNominal"), self._name(nominal)
+            try:
+                self._add_characteristic(kind, name, nominal)
+            except _UnsupportedError as error:
+                found.unsupported.append(f"{name} ({kind}): {error}")
+        found.features += [self._checked(table) for table in self._tables.values()]
+        used = {unit: kinds for unit, kinds in self._linear_units_used.items() if kinds}
+        if len(used) > 1:
+            text = "; ".join(f"{unit} for {', '.join(dict.fromkeys(kinds))}" for unit, kinds in used.items())
+            found.notes.append(
+                f"the file mixes units of length ({text}); they are read as stated, so check one against the drawing"
+            )
+        return found
+
+    def _checked(self, table: dict[str, object]) -> FeatureTable:
+        return FeatureTable.model_validate(table)
+
+    def _units(self, tag: str) -> tuple[dict[str, float], str]:
+        """Return the factor of each unit to metres, and the name of the primary unit."""
+        factors: dict[str, float] = {}
+        for unit in self._root.iterfind(f"FileUnits//{tag}"):
+            factors[unit.findtext("UnitName") or ""] = float(unit.findtext("UnitConversion/Factor") or 1.0)
+        primary = self._root.findtext(f"FileUnits/PrimaryUnits/{tag}/UnitName") or ""
+        return factors, primary
+
+    def _name(self, nominal: ElementTree.Element) -> str:
+        return (nominal.findtext("Name") or f"characteristic {nominal.get('id')}").replace("|", "/").strip()
+
+    def _element(self, number: str | None) -> ElementTree.Element:
+        if (found := self._by_id.get(number)) is None:
+            raise _UnsupportedError(f"the file has no item {number}")
+        return found
+
+    def _length_mm(self, element: ElementTree.Element, kind: str) -> float:
+        unit = element.get("linearUnit") or self._primary
+        if unit not in self._linear:
+            raise _UnsupportedError(f"the file does not define the unit '{unit}'")
+        self._linear_units_used.setdefault(unit, []).append(kind)
+        return round(float(element.text or "nan") * self._linear[unit] * 1000, 12)
+
+    def _angle_deg(self, element: ElementTree.Element) -> float:
+        unit = self._root.find("FileUnits/PrimaryUnits/PMIAngularUnit")
+        if unit is None:
+            unit = self._root.find("FileUnits/PrimaryUnits/AngularUnit")
+        factor = 1.0 if unit is None else float(unit.findtext("UnitConversion/Factor") or 1.0)
+        return round(float(np.degrees(float(element.text or "nan") * factor)), 9)
+
+    def _add_datum(self, letter: str, definition: ElementTree.Element) -> None:
+        ids = [each.text for each in definition.iterfind("FeatureNominalIds/Id")]
+        if not ids:
+            raise _UnsupportedError("it is defined by datum targets, which are not supported")
+        if len(ids) > 1:
+            raise _UnsupportedError("it is a common datum of several features, which is not supported")
+        table = self._feature(self._element(ids[0]))
+        if table.get("datum"):
+            raise _UnsupportedError(f"its feature is also the datum {table['datum']}")
+        table["datum"] = letter
+        self._letters[definition.get("id") or ""] = letter
+
+    def _feature(self, nominal: ElementTree.Element) -> dict[str, object]:
+        """Return the table of a feature; it is added at the first call."""
+        kind = nominal.tag.removesuffix("FeatureNominal")
+        if kind not in _FEATURES:
+            raise _UnsupportedError(f"its feature is a {kind}, which is not supported")
+        numbers = self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
+        return self._table(numbers, _FEATURES[kind], f"{_FEATURES[kind]} {nominal.get('id')}")
+
+    def _table(self, numbers: tuple[int, ...], kind: str, name: str) -> dict[str, object]:
+        return self._tables.setdefault(numbers, {"name": name, "faces": numbers, "kind": kind, "characteristic": []})
+
+    def _add_characteristic(self, kind: str, name: str, nominal: ElementTree.Element) -> None:
+        if kind not in _KINDS:
+            raise _UnsupportedError("this kind is not supported")
+        definition = self._element(nominal.findtext("CharacteristicDefinitionId"))
+        if definition.findtext("DimensionType") == "BASIC_OR_TED":
+            raise _UnsupportedError("a basic dimension has no tolerance; positions refer to the model")
+        content = self._content(kind, definition, nominal) | {"kind": _KINDS[kind], "source_id": nominal.get("id")}
+        features = [self._element(each.text) for each in nominal.iterfind("FeatureNominalIds/Id")]
+        if not features:
+            raise _UnsupportedError("it names no feature")
+        if kind in ("DistanceBetween", "AngleBetween"):
+            tables = self._two_features(features)
+            self._append(tables[0], content | {"name": name, "to": tables[1]["name"]})
+            return
+        for number, feature in enumerate(features, 1):
+            own = f"{name} [{number}/{len(features)}]" if len(features) > 1 else name
+            self._append(self._feature(feature), content | {"name": own})
+
+    def _two_features(self, nominals: Sequence[ElementTree.Element]) -> list[dict[str, object]]:
+        """Return two features; coplanar faces of several nominals are one."""
+        numbers = [number for each in nominals for number in self._table_faces(each)]
+        groups = self._faces.groups(numbers)
+        if len(groups) != 2:
+            raise _UnsupportedError(f"its features lie on {len(groups)} surfaces, and two are needed")
+        return [self._table(group, kind, f"{kind} {group[0]}") for group, kind in groups]
+
+    def _table_faces(self, nominal: ElementTree.Element) -> tuple[int, ...]:
+        kind = nominal.tag.removesuffix("FeatureNominal")
+        if kind not in _FEATURES:
+            raise _UnsupportedError(f"its feature is a {kind}, which is not supported")
+        return self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
+
+    def _append(self, table: dict[str, object], content: dict[str, object]) -> None:
+        try:
+            made = CharacteristicTable.model_validate(content)
+        except ValidationError as error:
+            raise _UnsupportedError(str(error.errors()[0]["msg"]).removeprefix("Value error, ").lstrip(".")) from error
+        characteristics = table["characteristic"]
+        assert isinstance(characteristics, list)
+        characteristics.append(made)
+
+    def _content(self, kind: str, definition: ElementTree.Element, nominal: ElementTree.Element) -> dict[str, object]:
+        """Return tolerance, nominal value, datums and zone."""
+        found: dict[str, object] = {}
+        is_angle = _KINDS[kind] == "angle"
+
+        def measure(element: ElementTree.Element) -> float:
+            return self._angle_deg(element) if is_angle else self._length_mm(element, kind)
+
+        target = nominal.find("TargetValue")
+        if target is not None:
+            found["nominal"] = measure(target)
+        low, high = definition.find("Tolerance/MinValue"), definition.find("Tolerance/MaxValue")
+        absolute = definition.findtext("Tolerance/DefinedAsLimit") == "true"
+        if absolute and target is None:
+            raise _UnsupportedError("its limits have no nominal value")
+        base = float(str(found.get("nominal", 0.0))) if absolute else 0.0
+        for key, element in (("lower", low), ("upper", high)):
+            if element is not None:
+                found[key] = round(measure(element) - base, 9)
+        if definition.find("ToleranceZonePerUnitArea") is not None:
+            raise _UnsupportedError("a tolerance per unit area is not supported")
+        if (value := definition.find("ToleranceValue")) is not None:
+            found["tolerance_mm"] = self._length_mm(value, kind)
+        if (frame := definition.findtext("DatumReferenceFrameId")) is not None:
+            found["datums"] = tuple(self._frame(self._element(frame)))
+        if definition.findtext("MaterialCondition") in ("MAXIMUM", "LEAST"):
+            found["note"] = "regardless of feature size: the bonus of its material condition is not added"
+        zones = {"DiametricalZone": "cylindrical", "PlanarZone": "planar", "NonDiametricalZone": "planar"}
+        if (zone := definition.find("ZoneShape/*")) is not None:
+            found["zone"] = zones.get(zone.tag)
+        return found
+
+    def _frame(self, frame: ElementTree.Element) -> Iterator[str]:
+        order = {"PRIMARY": 0, "SECONDARY": 1, "TERTIARY": 2}
+        datums = frame.findall("Datums/Datum")
+        for datum in sorted(datums, key=lambda each: order.get(each.findtext("Precedence/PrecedenceEnum") or "", 3)):
+            ids = [each.text or "" for each in datum.iter("DatumDefinitionId")]
+            if len(ids) != 1:
+                raise _UnsupportedError("it refers to a common datum, which is not supported")
+            if ids[0] not in self._letters:
+                label = self._element(ids[0]).findtext("DatumLabel")
+                raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
+            yield self._letters[ids[0]]
+
+
+class _FaceFinder:
+    """CAD faces of the part for faces of the file's own model."""
+
+    def __init__(
+        self, by_id: dict[str | None, ElementTree.Element], primary: str, part: Workpiece, cad: CadModel
+    ) -> None:
+        self._by_id, self._cad, self._mesh = by_id, cad, part.reference
+        self._metres = {"mm": 1e-3, "inch": 0.0254, "in": 0.0254, "m": 1.0, "cm": 1e-2}.get(primary, 1e-3)
+        self._queries: dict[int, ClosestPointQuery] = {}
+
+    def numbers(self, ids: Sequence[str]) -> tuple[int, ...]:
+        """Return the numbers of the CAD faces of QIF faces, ascending."""
+        if not ids:
+            raise _UnsupportedError("its feature names no face of the model")
+        return tuple(sorted({number for each in ids for number in self._matching(each)}))
+
+    def groups(self, numbers: Sequence[int]) -> list[tuple[tuple[int, ...], str]]:
+        """Return faces on the same surface together, with the kind of the surface."""
+        faces = {face.number: face for face in self._cad.faces}
+        groups: list[list[int]] = []
+        for number in sorted(set(numbers)):
+            same = next((group for group in groups if same_surface(faces[group[0]], faces[number])), None)
+            if same is None:
+                groups.append([number])
+            else:
+                same.append(number)
+        return [(tuple(group), faces[group[0]].kind.value) for group in groups]
+
+    def _matching(self, face_id: str) -> list[int]:
+        """Return the numbers of the CAD faces that contain all corners of a face: the halves of a bore share theirs."""
+        face = self._by_id.get(face_id)
+        if face is None or face.tag != "Face":
+            raise _UnsupportedError(f"its feature is {'missing' if face is None else f'an {face.tag}'}, not a face")
+        surface = self._by_id.get(face.findtext("Surface/Id"))
+        kind = _SURFACES.get("" if surface is None else surface.tag, SurfaceKind.OTHER)
+        corners = self._corners(face)
+        found = [
+            candidate.number
+            for index, candidate in enumerate(self._cad.faces)
+            if candidate.kind == kind and len(corners) and self._contains(index, corners)
+        ]
+        if not found:
+            raise _UnsupportedError(f"face {face_id} of the file is no face of the part")
+        return found
+
+    def _contains(self, index: int, points: Floats) -> bool:
+        """Return whether all points (N, 3) lie on a CAD face."""
+        faces = self._mesh.faces[self._cad.of_triangle == index]
+        corners = self._mesh.vertices[faces].reshape(-1, 3)
+        if (
+            not len(faces)
+            or (points < corners.min(axis=0) - _NEAR).any()
+            or (points > corners.max(axis=0) + _NEAR).any()
+        ):
+            return False
+        if index not in self._queries:
+            self._queries[index] = ClosestPointQuery(TriangleMesh(self._mesh.vertices, faces))
+        return bool((self._queries[index].closest(points).distance < _NEAR).all())
+
+    def _corners(self, face: ElementTree.Element) -> Floats:
+        """Return the corners (N, 3) of a face [m]."""
+        points: dict[str, list[float]] = {}
+        for loop in (self._by_id.get(each.text) for each in face.iterfind("LoopIds/Id")):
+            for edge in () if loop is None else loop.iterfind("CoEdges/CoEdge/EdgeOriented/Id"):
+                ends = self._by_id.get(edge.text)
+                for end in ("VertexBeg/Id", "VertexEnd/Id"):
+                    vertex = None if ends is None else self._by_id.get(ends.findtext(end))
+                    point = None if vertex is None else self._by_id.get(vertex.findtext("Point/Id"))
+                    if point is not None and (text := point.findtext("XYZ")):
+                        points[text] = [float(word) for word in text.split()]
+        return self._metres * np.array(list(points.values())).reshape(-1, 3)

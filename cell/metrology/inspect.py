@@ -1,0 +1,228 @@
+"""`cell inspect`: measured points, a mesh or an execution compared with the tolerances of a part."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from cell.errors import FileError, UsageError
+from cell.files import atomic_write
+from cell.inspect.features import InspectionPlan
+from cell.inspect.inspection import QIF_SOURCE, Inspected, inspect_points, plan_inspection, qif_source, read_plan
+from cell.inspect.measured import MeasuredPoints
+from cell.metrology import point_files
+from cell.metrology.options import InspectOptions
+from cell.part import mesh_files, workpiece
+from cell.part.ply_elements import PlyError, read_elements
+from cell.part.workpiece import UNITS
+from cell.runs.run import EXECUTIONS, RecordedExecution, Run, open_finished, read_execution
+from cell.scene.model import Scene
+from cell.session import ProgressReporter, Stream, random_stream
+from planner.errors import PlannerError
+from planner.geometry.closest import ClosestPointQuery
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import draw_samples
+from planner.registration.cloud import ScanCloud
+from planner.registration.localisation import SearchRange, fit_surface
+from planner.values import Floats, Ints
+
+_FINE_MESH = 20_000  # vertices of a mesh that was reconstructed from points; a coarser one is sampled
+_MESH_SAMPLES = 200_000
+
+
+def inspect(
+    source: Path, scene: Scene | None, options: InspectOptions, reporter: ProgressReporter, out: Path | None
+) -> tuple[Path, Inspected]:
+    """Inspect points, and write the results.
+
+    Args:
+        source: file of points or a mesh, or folder of an execution.
+        scene: with the part and its characteristics; None takes those of the run of an execution.
+        options: of the points.
+        reporter: of the progress.
+        out: folder of the results; None makes one below sim_runs/.
+
+    Returns:
+        The folder, and the results.
+
+    Raises:
+        CellError: with an exit code.
+    """
+    is_execution = source.is_dir()
+    if is_execution and source.parent.name != EXECUTIONS:
+        raise FileError(f"{source} is no folder of an execution; give executions/<id> of a run, or a file")
+    run = open_finished(source.parent.parent) if is_execution else None
+    with reporter.stage("read the characteristics"):
+        plan, reference, qif, name = _characteristics(run, scene)
+    with reporter.stage("read the points"):
+        if run is None:
+            measured, words = _file_points(source, options)
+            measured, aligned = _located(measured, reference, options)
+    for sentence in (*plan.notes, *plan.unsupported):
+        reporter.note(sentence)
+    with reporter.stage("inspect"):
+        if run is None:
+            done = inspect_points(
+                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned
+            )
+        else:
+            done = inspect_execution(plan, reference, run, read_execution(run, source.name))
+        folder = Path("sim_runs") / f"inspect-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else out
+        write_results(folder, done, qif)
+    return folder, done
+
+
+def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
+    """Write the results of an inspection to a folder.
+
+    Raises:
+        FileError: if it cannot be written.
+    """
+    from cell.inspect.pictures import features_picture
+
+    def write(name: str, content: bytes) -> None:
+        with atomic_write(folder / name) as path:
+            path.write_bytes(content)
+
+    try:
+        done.write(write, qif)
+        title = f"# Inspection of {done.result.part} ([view](features.html))"
+        text = "\n".join([title, "", "![The features](features.png)", "", *done.section()])
+        write("report.md", text.encode())
+        with atomic_write(folder / "features.png") as path:
+            features_picture(path, done.reference, done.plan, done.result)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
+
+
+def _characteristics(run: Run | None, scene: Scene | None) -> tuple[InspectionPlan, TriangleMesh, bytes | None, str]:
+    """Return the characteristics, the part, the QIF file and the name of the part."""
+    if scene is not None:
+        part = workpiece.load(scene.part.source, scene.part.units)
+        plan = plan_inspection(scene, part)
+        if plan is None:
+            raise UsageError("the scene has no [[feature]] and no QIF file; give --qif, or --scene with features")
+        return plan, part.reference, qif_source(scene), part.name
+    assert run is not None, "a file needs a scene"
+    plan = read_plan(run)
+    if plan is None:
+        raise UsageError(f"{run.folder} was planned without characteristics; give --part and --qif, or --scene")
+    return plan, run.reference, run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None, run.scene.part.name
+
+
+def inspect_execution(
+    plan: InspectionPlan, reference: TriangleMesh, run: Run, recorded: RecordedExecution
+) -> Inspected:
+    """Inspect the merged points of an execution.
+
+    Raises:
+        FileError: if they are missing or damaged.
+    """
+    path = recorded.folder / "cloud.ply"
+    try:
+        vertex = read_elements(path.read_bytes())["vertex"]
+    except (OSError, KeyError, PlyError) as error:
+        raise FileError(
+            f"{path} is missing or damaged; write it again with cell scan --report {recorded.folder.name}"
+        ) from error
+    options = recorded.manifest.options or {}
+    views = vertex.columns("view")[:, 0].astype(np.int64) - 1
+    sigma = vertex.columns("scalar_sigma_mm")[:, 0] / 1000
+    points, normals = vertex.columns("x", "y", "z") / 1000, vertex.columns("nx", "ny", "nz")
+    simulated = all(scan.T_true is not None for scan in recorded.scans)
+    given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
+    noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
+    if simulated:
+        sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
+    registered = bool(options.get("register"))
+    pose = (0.0, 0.0) if registered else given if simulated else run.plan_pose_sd
+    return inspect_points(
+        plan,
+        reference,
+        points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose),
+        part=run.scene.part.name,
+        source="; ".join(dict.fromkeys(scan.source for scan in recorded.scans)),
+        is_simulated=simulated,
+        on_reference=simulated and not options.get("actual"),
+        aligned="scans registered to each other and to the part" if registered else "scans by their reported poses",
+        notes=("errors that the registration leaves in the poses are not in U",) if registered else (),
+    )
+
+
+def points_of_views(
+    points: Floats, normals: Floats, sigma: Floats, view: Ints, origins: Floats, pose: tuple[float, ...]
+) -> MeasuredPoints:
+    """Return points with the errors of their views.
+
+    Args:
+        points: (N, 3) [m].
+        normals: (N, 3) of the surface.
+        sigma: (N,) standard deviation along the ray [m]; NaN if it is not known.
+        view: (N,) index of the view.
+        origins: (V, 3) scanner of each view [m].
+        pose: standard deviations of the pose of a view [mm, deg].
+    """
+    rays = points - origins[view]
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
+    across = np.abs(np.einsum("nj,nj->n", rays, normals)) * np.nan_to_num(sigma)
+    sd = np.tile([pose[0] / 1000, np.radians(pose[1])], (len(origins), 1))
+    return MeasuredPoints(points, across, np.asarray(view, dtype=np.int64), origins, sd)
+
+
+def _file_points(source: Path, options: InspectOptions) -> tuple[MeasuredPoints, str]:
+    """Return the points of a file, and their source; a mesh with few vertices is sampled."""
+    if options.points_units is None:
+        raise UsageError(f"{source} does not state its unit; give --points-units mm, cm, m, um or in")
+    metres, words = UNITS[options.points_units], f"points of {source.name}"
+    mesh = _mesh_of(source)
+    if mesh is None:
+        points = metres * point_files.read(source)
+    elif len(mesh.vertices) >= _FINE_MESH:
+        points, words = metres * mesh.vertices, f"vertices of {source.name}"
+    else:
+        rng = random_stream(0, Stream.DEVIATION_SAMPLES)
+        points = metres * draw_samples(mesh, mesh, _MESH_SAMPLES, rng).points
+        words = f"surface of {source.name}, {_MESH_SAMPLES:,} samples on {len(mesh.faces):,} triangles"
+    if not len(points):
+        raise FileError(f"{source} has no points")
+    sd = (options.point_sd_mm or 0.0) / 1000
+    return _single_view(points, sd), words
+
+
+def _single_view(points: Floats, sd: float) -> MeasuredPoints:
+    return MeasuredPoints(
+        points, np.full(len(points), sd), np.zeros(len(points), np.int64), points.mean(axis=0)[None], np.zeros((1, 2))
+    )
+
+
+def _mesh_of(source: Path) -> TriangleMesh | None:
+    """Return the triangles of a file; None for a file of points."""
+    suffix = source.suffix.lower()
+    if suffix in (".xyz", ".txt", ".pcd"):
+        return None
+    content = mesh_files.read_bytes(source)
+    if suffix == ".ply":
+        try:
+            face = read_elements(content).get("face")
+        except PlyError as error:
+            raise FileError(f"{source} {error}") from error
+        if face is None or not face.count:
+            return None
+    vertices, faces = mesh_files.parse(source, content)
+    return TriangleMesh(vertices, faces.astype(np.int32))
+
+
+def _located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions) -> tuple[MeasuredPoints, str]:
+    """Return the points after a search for the part's place, and the search in words."""
+    if options.search_mm == 0 == options.search_deg:
+        return measured, ""
+    centre = (reference.vertices.min(axis=0) + reference.vertices.max(axis=0)) / 2
+    search = SearchRange(options.search_mm / 1000, float(np.radians(options.search_deg)))
+    rng = random_stream(0, Stream.LOCALISATION_STARTS)
+    cloud = ScanCloud(measured.points, centre)
+    try:
+        fit = fit_surface([cloud], ClosestPointQuery(reference), centre, search, rng)
+    except PlannerError as error:
+        raise FileError(str(error)) from error
+    sd = float(measured.sigma[0])
+    return _single_view(cloud.transformed(fit.T).points, sd), f"located within {options.search_mm:g} mm"

@@ -1,0 +1,121 @@
+"""Minimum zone, minimum circumscribed and maximum inscribed shapes by sequential linear programming.
+
+The distances are linear in a small change of the shape (Anthony and others, "Reference software for finding Chebyshev
+best-fit geometric elements", Precision Engineering 19, 1996, doi:10.1016/0141-6359(95)00054-2). Each linear program
+bounds the distances of the critical points only; points that exceed its zone are added until none does. Object frame,
+metres.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.optimize import linprog
+
+from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, SIZE, TILT_X, TILT_Y, Shape, ShapeKind, Z
+from planner.values import Floats
+
+_STEPS = 40
+_CRITICAL = 40  # points at either end with which a program starts
+_TRUST = 0.05  # largest first change, as a share of the points' extent
+_DONE = 1e-9  # relative gain of a step that ends the search
+
+
+class Criterion(Enum):
+    """Property that an extremal shape optimises."""
+
+    ZONE = "minimum zone"
+    CIRCUMSCRIBED = "minimum circumscribed"
+    INSCRIBED = "maximum inscribed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extremal:
+    """An extremal shape.
+
+    Attributes:
+        shape: its size is that of the circumscribed or inscribed shape, else in the middle of the zone.
+        zone: width between the innermost and the outermost point [m].
+    """
+
+    shape: Shape
+    zone: float
+
+
+def fit_extremal(criterion: Criterion, points: Floats, start: Shape) -> Extremal:
+    """Return the extremal shape near a start, such as the least-squares fit.
+
+    Args:
+        criterion: property to optimise. A plane, and a cone, have only a zone.
+        points: (N, 3) of a plane, circle (projected onto its plane), sphere, cylinder or cone [m].
+        start: shape near the solution.
+    """
+    shape, flat = start, start.kind is ShapeKind.CIRCLE
+    if flat:  # its cylinder with a fixed axis
+        shape = Shape(ShapeKind.CYLINDER, start.point, start.axis, start.size)
+    centre = points.mean(axis=0)
+    extent = float(np.sqrt(np.mean(((points - centre) ** 2).sum(axis=1)))) or 1.0
+    local = (points - centre) / extent
+    point = (shape.point - centre) / extent
+    shape = Shape(shape.kind, point, shape.axis, shape.size / extent, shape.half_angle).at_foot(np.zeros(3))
+    offset = Z if shape.kind is ShapeKind.PLANE else SIZE  # a change that moves all distances alike
+    free = [each for each in PARAMETERS[shape.kind] if each != offset and not (flat and each in (TILT_X, TILT_Y))]
+    trust, value = _TRUST, _objective(criterion, shape.distances(local), shape.size)
+    for _ in range(_STEPS):
+        candidate = shape.changed(_program(criterion, shape, local, free, trust)).at_foot(np.zeros(3))
+        other = _objective(criterion, candidate.distances(local), candidate.size)
+        if other < value - _DONE * abs(value) * 1e-3:
+            shape, gained, value = candidate, value - other, other
+            if gained <= _DONE * abs(value):
+                break
+        else:
+            trust /= 4
+            if trust < 1e-12:
+                break
+    distances = shape.distances(local)
+    low, high = float(distances.min()), float(distances.max())
+    ends = {Criterion.ZONE: (low + high) / 2, Criterion.CIRCUMSCRIBED: high, Criterion.INSCRIBED: low}
+    if offset == Z:
+        point, size = shape.point + ends[criterion] * shape.axis, 0.0
+    else:
+        point, size = shape.point, shape.size + ends[criterion]
+    placed = Shape(start.kind, centre + extent * point, shape.axis, extent * size, shape.half_angle)
+    return Extremal(placed, extent * (high - low))
+
+
+def _objective(criterion: Criterion, distances: Floats, size: float) -> float:
+    match criterion:
+        case Criterion.ZONE:
+            return float(distances.max() - distances.min())
+        case Criterion.CIRCUMSCRIBED:
+            return size + float(distances.max())
+    return -size - float(distances.min())
+
+
+def _program(criterion: Criterion, shape: Shape, points: Floats, free: list[int], trust: float) -> Floats:
+    """Return the change (7,) that is best for the linearised distances, at most `trust` in each component."""
+    distances, J = shape.distances(points), shape.jacobian(points)[:, free]
+    order = np.argsort(distances, kind="stable")
+    chosen = np.unique(np.concatenate([order[:_CRITICAL], order[-_CRITICAL:]]))
+    n = len(free)
+    cost = np.zeros(n + 2)  # the components, the lower and the upper end of the zone
+    cost[n] = 0.0 if criterion is Criterion.CIRCUMSCRIBED else -1.0
+    cost[n + 1] = 0.0 if criterion is Criterion.INSCRIBED else 1.0
+    bounds = [(-trust, trust)] * n + [(None, None)] * 2
+    change = np.zeros(N_COMPONENTS)
+    while True:
+        one, zero = np.ones((len(chosen), 1)), np.zeros((len(chosen), 1))
+        A = np.block([[-J[chosen], one, zero], [J[chosen], zero, -one]])
+        b = np.concatenate([distances[chosen], -distances[chosen]])
+        solved = linprog(cost, A, b, bounds=bounds, method="highs").x
+        assert solved is not None, "a bounded zone around points always exists"
+        reached = distances + J @ solved[:n]
+        low = -np.inf if criterion is Criterion.CIRCUMSCRIBED else reached[chosen].min()
+        high = np.inf if criterion is Criterion.INSCRIBED else reached[chosen].max()
+        beyond = np.flatnonzero((reached < low - 1e-12) | (reached > high + 1e-12))
+        beyond = np.setdiff1d(beyond, chosen)
+        if not len(beyond):
+            change[free] = solved[:n]
+            return change
+        worst = np.argsort(-np.maximum(low - reached[beyond], reached[beyond] - high), kind="stable")
+        chosen = np.union1d(chosen, beyond[worst[:_CRITICAL]])
