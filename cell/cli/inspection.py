@@ -51,6 +51,26 @@ def check(
     raise typer.Exit(result.exit_code)
 
 
+@command("cell init my_cell.toml", "cell init my_cell.toml --part bracket.stl --units mm")
+def init(
+    *,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Scene file to write.", show_default=False)],
+    part: Annotated[
+        str | None, typer.Option(help="Mesh file or built-in part of the scene.", rich_help_panel=PART)
+    ] = None,
+    given: Annotated[Given, option_specs(Scene, "units")],
+) -> None:
+    """Write a scene file with every key, its unit, its default and its purpose."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+
+    units = given.get("units")
+    api.init(file, part, None if units is None else str(units))
+    terminal = Terminal()
+    terminal.print(f"{file} has every key with its default; change the values, and remove what you do not need")
+    terminal.suggest(("cell", "check", file), ("cell", "plan", "--scene", file))
+
+
 @command(
     "cell part bracket.stp",
     "cell part bracket.stp --json --out looked",
