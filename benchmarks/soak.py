@@ -287,12 +287,20 @@ def soak_backend(
         command = [sys.executable, "-m", "cell", "emulate", backend, "--time-scale", str(TIME_SCALE), "--log", str(log)]
         command += ["--seed", str(seed), *(["--faults", faults] if faults else [])]
         command += [] if folder is None else ["--run", str(folder)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        errors = Path(kept) / "errors.txt"
+        with (
+            errors.open("w", encoding="utf-8") as stream,
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stream, text=True) as process,
+        ):
             try:
                 assert process.stdout is not None
                 url = process.stdout.readline().strip()
                 url += ("&" if "?" in url else "?") + PATIENCE
                 soak = drive(open_driver(url, Context(limits)), moves, np.random.default_rng(seed))
+            except DriverError as error:
+                if process.poll() is None:
+                    raise
+                raise RuntimeError(f"the emulator ended by itself: {errors.read_text(encoding='utf-8')}") from error
             finally:
                 process.terminate()
                 process.wait(30)

@@ -87,9 +87,9 @@ Progress = Callable[[str, int, int], None]
 """Callback `(stage, done, total)`. Each stage starts with (0, 0). An exception that it raises ends the work."""
 
 __all__ = [
-    "Progress", "advise", "calibrate_hand_eye", "check", "diff", "edit", "explore", "export", "features", "inspect",
-    "locate", "open_run", "part", "place", "plan", "replay", "scan", "scan_setups", "setups", "study_placement",
-    "study_scanner", "study_standoff", "view", "why",
+    "Progress", "advise", "calibrate_hand_eye", "check", "diff", "edit", "explore", "export", "features", "init",
+    "inspect", "locate", "open_run", "part", "place", "plan", "replay", "scan", "scan_setups", "setups",
+    "study_placement", "study_scanner", "study_standoff", "view", "why",
 ]  # fmt: skip
 
 
@@ -230,6 +230,20 @@ def check(
     from cell.world.checks import check_scene
 
     return check_scene(read_request(part, scene, keywords)[0])
+
+
+def init(file: str | Path, part: str | Path | None = None, units: str | None = None) -> Path:
+    """Write a scene file with every key, its unit, its default and its purpose; return its path.
+
+    Args:
+        file: the new scene file.
+        part: mesh file or name of a built-in part. None takes that of the built-in scene.
+        units: of the mesh file; None for a format that states it.
+    """
+    from cell.scene.template import write_scene
+
+    write_scene(Path(file), None if part is None else str(part), units)
+    return Path(file)
 
 
 def part(source: str | Path, units: str | None = None) -> "Workpiece":

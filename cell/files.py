@@ -62,9 +62,13 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         OSError: if it cannot be read, or is neither a regular file nor a folder.
     """
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise OSError(errno.EINVAL, "it is a device or a pipe, not a regular file")
+    _refuse_device(path)
     return path.read_bytes()
+
+
+def _refuse_device(path: Path) -> None:
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError(errno.EINVAL, "it is a device or a pipe, not a regular file", str(path))
 
 
 @contextlib.contextmanager
@@ -74,8 +78,9 @@ def atomic_write(path: Path) -> Iterator[Path]:
     Readers see the complete file or none. A missing folder is created.
 
     Raises:
-        OSError: if the folder or the file cannot be written.
+        OSError: if the folder or the file cannot be written, or `path` is a device, which a file would replace.
     """
+    _refuse_device(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
@@ -27,6 +28,19 @@ NAMES: Final = {
 }
 
 _last = ["Ctrl-C"]  # kept here because a frame between the signal and the end of the command can lose the exception
+
+
+_kept_folder: list[str] = []
+
+
+def keep_folder(path: Path) -> None:
+    """Remember the folder that an interrupted command keeps, for the sentence at its end."""
+    _kept_folder[:] = [str(path)]
+
+
+def kept_folder() -> str:
+    """Return the folder that the interrupted command keeps; "" if there is none."""
+    return _kept_folder[0] if _kept_folder else ""
 
 
 class Killed(KeyboardInterrupt):

@@ -62,7 +62,11 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
         if (plug_in := _plug_in_of(error)) is not None:
             return _report(*_plug_in_failure(plug_in, error), as_json)
         # A write to an open file has no name; the results of a command are in its folder or at --out.
-        name = str(error.filename)[:80] if error.filename is not None else f"a file below {Path.cwd()} or at --out"
+        name = (
+            str(error.filename)[:80]
+            if error.filename is not None
+            else f"standard output, or a file below {Path.cwd()} or at --out,"
+        )
         reason = (error.strerror or "the operating system refuses access").lower()
         return _report(f"{name} cannot be used: {reason}; choose another name or folder", FileError.exit_code, as_json)
     except MemoryError as error:
@@ -153,7 +157,8 @@ def require_text(words: Sequence[str]) -> None:
 
 
 def _interruption() -> str:
-    return f"stopped by {signals.last_signal()}; finished results are kept"
+    folder = signals.kept_folder()
+    return f"stopped by {signals.last_signal()}; finished results are kept{f' in {folder}' if folder else ''}"
 
 
 def _report(sentence: str, code: int, as_json: bool, *, is_printed: bool = False) -> int:

@@ -6,6 +6,7 @@
 import functools
 import inspect
 import json
+import re
 import sys
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
@@ -26,7 +27,6 @@ EXIT_CODES = (
 )
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -34,6 +34,14 @@ app = typer.Typer(
 )
 
 Command = TypeVar("Command", bound=Callable[..., None])
+
+_MARKUP = re.compile(r"(\\*)(\[[a-z#/@][^[]*?])")  # as in rich.markup, whose import takes longer than `--help`
+
+
+def plain(text: str) -> str:
+    """Return a text whose words in brackets are not taken as markup by the help."""
+    return _MARKUP.sub(lambda match: match[1] * 2 + "\\" + match[2], text)
+
 
 Part = Annotated[
     str | None,
@@ -90,7 +98,7 @@ def command(
         name: of the command; None: the name of the function.
         group: of the command.
     """
-    epilog = "\n\n".join(["Examples:", *examples, *([note] if note else []), EXIT_CODES])
+    epilog = plain("\n\n".join(["Examples:", *examples, *([note] if note else []), EXIT_CODES]))
 
     def register(function: Command) -> Command:
         group.command(name, epilog=epilog)(from_fields(function))
@@ -168,5 +176,7 @@ def _parameter(spec: OptionSpec) -> inspect.Parameter:
     if kind.base is bool and next(iter(spec.fields.values())).default is None:
         flags = [f"{flags[0]}/--no-{flags[0].removeprefix('--')}"]
     text: Any = bool if kind.base is bool else list[str] if kind.length < 0 else str
-    shown = typer.Option(None, *flags, help=spec.help, metavar=spec.metavar, rich_help_panel=option.panel or None)
+    shown = typer.Option(
+        None, *flags, help=plain(spec.help), metavar=spec.metavar, rich_help_panel=option.panel or None
+    )
     return inspect.Parameter(spec.name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=text | None)

@@ -12,14 +12,15 @@ from rich.progress import (
     BarColumn,
     ProgressColumn,
     SpinnerColumn,
+    Task,
     TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.progress import Progress as Bars
 from rich.table import Table
+from rich.text import Text
 
 from cell.cli.options import print_json
 from planner.ports import Progress
@@ -49,8 +50,7 @@ class Terminal:
     def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:
         """Show a stage while it runs; see `cell.session.ProgressReporter`."""
         log.info("stage: %s", name)
-        left: tuple[ProgressColumn, ...] = (TextColumn("left"), TimeRemainingColumn()) if time_left else ()
-        with self._bars(*left, spinner=True) as bars:
+        with self._bars(spinner=True) as bars:
             task, tenths = bars.add_task(name, total=None), 0
 
             def update(done: int, total: int) -> None:
@@ -160,7 +160,7 @@ class Terminal:
         if len(rows) > at_most:
             self.print(f"... and {len(rows) - at_most} rows more")
 
-    def _bars(self, *columns: ProgressColumn, spinner: bool = False) -> Bars:
+    def _bars(self, *, spinner: bool = False) -> Bars:
         first = (SpinnerColumn(),) if spinner else ()
         return Bars(
             *first,
@@ -168,11 +168,25 @@ class Terminal:
             BarColumn(bar_width=30),
             TaskProgressColumn(),
             TimeElapsedColumn(),
-            *columns,
+            _Remaining(),
             console=self._errors,
             transient=True,
             disable=not self._errors.is_terminal,
         )
+
+
+class _Remaining(ProgressColumn):
+    """Finished steps, their total and the remaining time; empty without a total."""
+
+    max_refresh = 0.5
+
+    def render(self, task: Task) -> Text:
+        """Return the text of a task."""
+        if task.total is None or task.finished:
+            return Text("")
+        seconds = task.time_remaining
+        left = "" if seconds is None else f", {seconds // 60:.0f}:{seconds % 60:02.0f} left"
+        return Text(f"{task.completed:,.0f} of {task.total:,.0f}{left}")
 
 
 def _widths(narrowest: Sequence[int], widest: Sequence[int], room: int) -> list[int]:

@@ -228,7 +228,7 @@ def _clouds_of_files(run: Run, options: LocateOptions) -> _Measured:
     for view in views:
         file = point_files.file_of_view(path, view) if path.is_dir() else path
         if file is None:
-            raise FileError(f"{path} has no file of view {view}; name it by that number, such as {view:04d}.ply")
+            raise FileError(point_files.missing_file(path, view))
         points = transform_points(_T_object_frame(run, options, view), point_files.read(file) * _metres(options))
         clouds.append(ScanCloud(points, run.plan.views[view - 1].T_object_scanner[:3, 3]))
     return _Measured("best fit", f"{path} ({options.points_frame} frame, {options.points_units})", views, clouds)

@@ -74,6 +74,16 @@ def file_of_view(folder: Path, stop: int) -> Path | None:
     return found[0] if found else None
 
 
+def missing_file(folder: Path, stop: int) -> str:
+    """Return why a folder has no file of a view: a format that is not read, or no file of this number."""
+    for path in sorted(folder.iterdir()):
+        number = re.search(r"(\d+)$", path.stem)
+        if path.is_file() and number is not None and int(number[1]) == stop:
+            formats = ", ".join(SUFFIXES)
+            return f"{path} of view {stop} is '{path.suffix}'; points are read from {formats}: convert it"
+    return f"{folder} has no file of view {stop}; name it by that number, such as {stop:04d}.ply"
+
+
 def read_rows(path: Path) -> list[point_tables.Row]:
     """Read a text file as rows of words; spaces, tabs, commas or semicolons separate them.
 

@@ -124,7 +124,7 @@ def read_points(content: bytes) -> Floats:
     if len(rows) > 1 and len(rows[0].words) == 1 and len(rows[1].words) > 1:
         announced = number_of(rows.pop(0).words[0])
     if not rows:
-        return np.empty((0, 3))
+        raise TableError("has no points, only names or comments; scan again")
     width = len(rows[0].words)
     for row in rows:
         if len(row.words) != width:
@@ -183,7 +183,7 @@ def _require_plain_columns(values: Floats, has_points: bool, line: int) -> None:
             f"has {values.shape[1]} columns without names, and the first counts the points; name the columns in a "
             "first line, such as 'id x y z'"
         )
-    is_integer = (values % 1 == 0).all(axis=0)
+    is_integer = (values == np.round(values)).all(axis=0)
     if values.shape[1] > 3 and is_integer[0] and not is_integer[1:4].all():
         raise TableError(
             f"has {values.shape[1]} columns without names, and the first has only integers; name the columns in a "

@@ -289,6 +289,8 @@ def _read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
         if np.isnan(of_face).all():
             raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
         return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
+    if suffix not in (*_POLYGON_READERS, ".glb"):
+        raise FileError(f"{path} is '{suffix}'; colours are read from STEP, PLY, OBJ, OFF and GLB")
     try:
         if suffix in _POLYGON_READERS:
             polygons = _POLYGON_READERS[suffix](content)

@@ -540,6 +540,8 @@ def mesh_files(path: Path, packages: Mapping[str, Path]) -> list[Path]:
 
 def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
     """Return the path of a mesh that a description names; raise FileError if it does not exist."""
+    if not name.strip():
+        raise FileError(f"{path} has a <mesh> without a file name; name its file")
     plain = name.removeprefix("file://")
     if name.startswith("package://"):
         package, _, inside = name.removeprefix("package://").partition("/")
@@ -549,7 +551,19 @@ def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
         tried += [folder / package / inside for folder in path.resolve().parents]
         hint = f"; name the folder of the package: --package {package}=DIR"
     else:
-        tried, hint = [path.resolve().parent / plain], ""
+        tried = [path.resolve().parent / plain]
+        folder = tried[0].parent
+        others = (
+            [each.name for each in folder.iterdir() if each.name.lower() == tried[0].name.lower()]
+            if folder.is_dir()
+            else []
+        )
+        hint = (
+            f"; there is {others[0]}: names are case-sensitive"
+            if others
+            else "; copy the file there, or correct the name"
+        )
+        hint = "; write / between folders" if "\\" in name else hint
     for file in tried:
         if file.is_file():
             return file

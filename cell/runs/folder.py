@@ -128,6 +128,7 @@ class RunFolder:
             yield
         except KeyboardInterrupt:
             self.fail("interrupted", signals.INTERRUPTED, f"stopped by {signals.last_signal()}")
+            signals.keep_folder(self.path)
             raise
         except (CellError, PlannerError) as error:
             self.fail("failed", getattr(error, "exit_code", CellError.exit_code), str(error))

@@ -1195,8 +1195,8 @@ class ExploreFile(JsonTable):
             ("views", f"{self.views} in {len(self.batches)} batches ({self.policy})"),
             ("motion", f"{sum(stage.seconds for stage in self.batches):.1f} s"),
             ("ended", self.stop_reason),
-            ("measured", f"{last.measured_mm2 / 100:.1f} cm2 of surface"),
-            ("stays open", f"{sum(reason.area_mm2 for reason in self.uncovered) / 100:.1f} cm2 of the belief surface"),
+            ("measured", f"{last.measured_mm2:,.0f} mm² of surface"),
+            ("stays open", f"{sum(reason.area_mm2 for reason in self.uncovered):,.0f} mm² of the belief surface"),
             ("never entered", f"{last.unseen_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"),
             *(("", f"{reason.area_mm2:.0f} mm2: {reason.cause}") for reason in self.uncovered[:4]),
         ]

@@ -279,7 +279,7 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
 
 def _is_moved(one: Floats, two: Floats) -> bool:
     """Return whether two sets of points (N, 3) [m] differ, in the frame of the same body."""
-    off = [cKDTree(a).query(b)[0].max() for a, b in ((one, two), (two, one))]
+    off = [np.max(cKDTree(a).query(b)[0]) for a, b in ((one, two), (two, one))]
     return bool(max(off) > _MESH_TOLERANCE)
 
 

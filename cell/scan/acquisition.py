@@ -231,9 +231,9 @@ class Files:
     def take(self, view: View) -> Acquired | None:
         """Return the points of a view's file once it is complete; None if it does not appear in time."""
         until, is_notified, size = self._now() + self._wait, False, -1
-        problem = f"{self._folder} has no file of view {view.stop}"
         while True:
             path = point_files.file_of_view(self._folder, view.stop)
+            problem = point_files.missing_file(self._folder, view.stop) if path is None else f"{path} is not complete"
             if path is not None:
                 # A file that is still being written grows: with time to wait, its size must be equal in two checks.
                 before, size = size, path.stat().st_size

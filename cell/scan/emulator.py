@@ -252,11 +252,12 @@ def _read(path: Path) -> tuple[SetPoints, int, bool]:
         axes = np.array(content["axes"], dtype=np.int32)
         boot, in_order = int(content["boot"]), bool(content["ended_in_order"])
         if content["schema"] != SCHEMA or axes.ndim != 1 or len(axes) < AXES or not 0 <= boot <= 65535:
-            raise ValueError("wrong schema, axes or boot number")
+            raise ValueError
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise UsageError(
-            f"{path} is not the state of an emulated arm ({error}); remove it to start at --start"
+            f"{path} is not the state of an emulated arm: schema, axes or boot number are missing or wrong; "
+            "remove it to start at --start"
         ) from error
     return axes, boot, in_order

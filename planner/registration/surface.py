@@ -14,7 +14,8 @@ Deviation: the deviation of a point of a mesh is its distance to the closest poi
 the part. Rms, mean and the 95 % quantile are over area-weighted samples of the mesh, so that many small faces count no
 more than their area; the largest deviation is over samples and vertices. Faces that close holes have separate numbers.
 A surface from points rounds sharp edges of the part, whatever the scanner's error. So the numbers leave out a band
-about these edges whose width follows from the spacing of the points; the numbers with the band are stated beside them.
+about these edges whose width follows from the spacing of the points; the numbers with the band are stated beside them. A
+point is in the band if its closest point of the part is, because a surface also runs on beyond an edge.
 Missing surface does not show here: that is coverage. Object frame, metres.
 """
 
@@ -168,6 +169,9 @@ _BINS = 40
 EDGE_BAND = 1.5
 """Half width of the band about sharp edges, in spacings of the points."""
 
+_MAX_EDGE_ERROR = 2.0
+"""Largest deviation in the band, in its half widths: a larger one is no rounded edge."""
+
 _SHARP_EDGE = np.cos(np.radians(30.0))  # cosine of the angle between the normals of the faces at a sharp edge
 _MAX_EDGE_POINTS = 2_000_000
 
@@ -237,8 +241,9 @@ def measure_deviation(
     edges = sharp_edge_points(nearest.mesh, edge_band / 2) if edge_band > 0 else np.zeros((0, 3))
     if not len(edges):
         return result
-    distance, _ = cKDTree(edges).query(np.concatenate([samples[0], mesh.vertices[used[0]]]), workers=-1)
-    inner, inner_vertices = np.split(distance > edge_band, [count])
+    feet = nearest.closest(np.concatenate([samples[0], mesh.vertices[used[0]]]))
+    distance, _ = cKDTree(edges).query(feet.point, workers=-1)
+    inner, inner_vertices = np.split((distance > edge_band) | (feet.distance > _MAX_EDGE_ERROR * edge_band), [count])
     if inner.all() or not inner.any():
         return result
     without = _statistics(at_vertices, at_vertices[used[0]][inner_vertices], over_area[0][inner])

@@ -110,3 +110,21 @@ def test_a_real_scanner_measures_the_real_part(box_plan: Path, tmp_path: Path, r
         "--actual", box(tmp_path, "b.stl"), cwd=tmp_path, code=2,
     )  # fmt: skip
     assert "a real scanner measures the real part; omit --actual" in done.stderr
+
+
+def test_all_setups_are_scanned_on_the_same_mesh(
+    made_setups: Path, part_file: Path, tmp_path: Path, run_cell: RunCommand
+) -> None:
+    """Each execution records the mesh; the nominal mesh as the actual one gives the points of a scan without it."""
+    points = []
+    for name, actual in (("plain", ()), ("actual", ("--actual", part_file, "--actual-units", "mm"))):
+        shutil.copytree(made_setups, tmp_path / name)
+        run_cell("scan", tmp_path / name, "--resolution", "4", *actual, cwd=tmp_path)
+        scans = sorted((tmp_path / name).rglob("executions/0001/scans/0001.npz"))
+        assert len(scans) >= 1
+        points.append([np.load(scan)["points"] for scan in scans])
+    for manifest in (tmp_path / "actual").rglob("executions/0001/manifest.json"):
+        options = json.loads(manifest.read_text())["options"]
+        assert (options["actual"], len(options["actual_sha256"])) == (str(part_file), 64)
+    for one, other in zip(*points, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)

@@ -147,7 +147,7 @@ def test_out_of_memory_and_a_full_disk_are_named(capsys: Any) -> None:
     assert report_errors(fail(MemoryError()), as_json=False) == 2
     assert "out of memory; close other programs" in capsys.readouterr().err
     assert report_errors(fail(OSError(28, "No space left on device")), as_json=False) == 6
-    assert f"a file below {Path.cwd()} or at --out cannot be used: no space left" in capsys.readouterr().err
+    assert f"a file below {Path.cwd()} or at --out, cannot be used: no space left" in capsys.readouterr().err
 
 
 def test_a_scheduler_with_certificates(tmp_path: Path) -> None:

@@ -1,30 +1,46 @@
-"""Cache folder on each operating system."""
+"""Files that are written completely or not at all."""
 
-import sys
+import os
 from pathlib import Path
 
 import pytest
 
-from cell.files import cache_folder
+from cell.files import atomic_write
+from tests.support.fixture_types import RunCommand
 
 
-@pytest.mark.parametrize(
-    ("platform", "environment", "below"),
-    [
-        ("linux", {}, ".cache/scan-cell/matrices"),
-        ("darwin", {}, "Library/Caches/scan-cell/matrices"),
-        ("win32", {}, "AppData/Local/scan-cell/matrices"),
-        ("win32", {"LOCALAPPDATA": "{home}/elsewhere"}, "elsewhere/scan-cell/matrices"),
-        ("linux", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/matrices"),
-        ("win32", {"XDG_CACHE_HOME": "{home}/named"}, "named/scan-cell/matrices"),
-    ],
-)
-def test_the_folder_is_where_the_system_keeps_caches_unless_named(platform, environment, below, tmp_path, monkeypatch):
-    """The cache is in the system's folder. XDG_CACHE_HOME has precedence on every system."""
-    monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value.format(home=tmp_path))
-    assert cache_folder("matrices") == tmp_path / below
+def test_a_file_is_replaced_and_a_device_is_not(tmp_path: Path) -> None:
+    """Readers see the new content; a pipe stays a pipe; nothing else is left in the folder."""
+    path, pipe = tmp_path / "new" / "a.txt", tmp_path / "pipe"
+    for text in ("one", "two"):
+        with atomic_write(path) as part:
+            part.write_text(text)
+        assert path.read_text() == text
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match="a device or a pipe"), atomic_write(pipe) as part:
+        part.write_text("x")
+    assert pipe.is_fifo()
+    assert sorted(each.name for each in (*tmp_path.iterdir(), *path.parent.iterdir())) == ["a.txt", "new", "pipe"]
+
+
+def test_an_error_leaves_the_former_content(tmp_path: Path) -> None:
+    """An exception in the block removes the temporary file."""
+    path = tmp_path / "a.txt"
+    path.write_text("one")
+
+    def fail() -> None:
+        with atomic_write(path) as part:
+            part.write_text("two")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert [each.read_text() for each in tmp_path.iterdir()] == ["one"]
+
+
+def test_the_page_of_a_run_does_not_replace_a_pipe(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+    """`cell view --out` refuses a pipe in one sentence."""
+    os.mkfifo(tmp_path / "pipe")
+    done = run_cell("view", planned, "--out", "pipe", cwd=tmp_path, code=6)
+    assert "a device or a pipe, not a regular file" in done.stderr
+    assert (tmp_path / "pipe").is_fifo()

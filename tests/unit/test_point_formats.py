@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError
-from cell.metrology.point_files import read
+from cell.metrology.point_files import missing_file, read
 from planner.values import Floats
 
 POINTS = np.array([[0.25 + 5 * i, 0.5 + 5 * j, 12.5 + 0.125 * (i % 3)] for i in range(8) for j in range(5)])
@@ -71,6 +71,7 @@ AMBIGUOUS = {
     "fewer than announced": (f"{len(POINTS) + 1}\n" + rows(), "announces 41 points but has 40"),
     "integers first": (rows(before="7{k} "), "the first has only integers"),
     "binary": (b"LASF\0\1\2\3".decode(), "not a text file"),
+    "header only": ("x y z\n", "has no points"),
     "two columns": ("1 2\n3 4\n", "x, y and z are needed"),
     "Fortran": ("1.0D+01 2.0D+01 3.0D+01\n", "'1.0D[+]01'.*line 1"),
     "a word": (rows() + "1 2 three\n", f"'three' where a number is expected, line {len(POINTS) + 1}"),
@@ -218,3 +219,10 @@ def test_other_formats_are_named(tmp_path: Path) -> None:
     """The sentence lists the formats that are read."""
     with pytest.raises(FileError, match=r"'\.stl'; points are read from \.ply, \.pcd, \.xyz"):
         read_text(tmp_path, b"solid", "a.stl")
+
+
+def test_a_file_of_a_view_in_another_format_is_named(tmp_path: Path) -> None:
+    """The sentence has the file and the formats, in place of "no file"."""
+    (tmp_path / "scan_0003.e57").write_bytes(b"ASTM-E57")
+    assert "scan_0003.e57 of view 3 is '.e57'; points are read from .ply" in missing_file(tmp_path, 3)
+    assert "has no file of view 4; name it by that number, such as 0004.ply" in missing_file(tmp_path, 4)

@@ -163,6 +163,18 @@ def test_a_concave_polygon_of_a_robots_mesh_covers_its_own_surface(tmp_path: Pat
     assert np.linalg.norm(cross, axis=1).sum() / 2 == pytest.approx(0.0234, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [("", "a <mesh> without a file name"), ("A.stl", "there is a.stl: names are case-sensitive"),
+     ("m\\a.stl", "write / between folders"), ("b.stl", "copy the file there, or correct the name")],
+)  # fmt: skip
+def test_a_missing_mesh_is_named_with_the_cure(tmp_path: Path, name: str, sentence: str) -> None:
+    """An empty name, another case, a backslash and a missing file have their own sentences."""
+    (tmp_path / "a.stl").write_bytes(b"x")
+    with pytest.raises(CellError, match=sentence):
+        read(tmp_path, urdf(link_2=MESH.format(name)))
+
+
 def test_an_unsupported_mesh_is_named_with_the_cure(tmp_path: Path) -> None:
     """COLLADA is not read."""
     (tmp_path / "a.dae").write_text("<COLLADA/>")

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from rich.progress import Progress
 
-from cell.cli.terminal import Terminal
+from cell.cli.terminal import Terminal, _Remaining
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -39,3 +40,16 @@ def test_a_long_stage_tells_each_tenth_where_no_bar_is_seen(capsys: pytest.Captu
             progress(done, 86)
     lines = capsys.readouterr().err.splitlines()
     assert (len(lines), lines[0], lines[-1]) == (10, "long: 9 of 86", "long: 86 of 86")
+
+
+def test_a_bar_states_total_and_remaining_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps without a total have none; with a total, the time of the finished steps gives the rest."""
+    column, bars = _Remaining(), Progress(get_time=lambda: now)
+    now = 0.0
+    number = bars.add_task("stage", total=None)
+    task = bars.tasks[number]
+    assert str(column.render(task)) == ""
+    for done in range(5):
+        now = 10.0 * done
+        bars.update(task.id, completed=20 * done, total=200)
+    assert str(column.render(task)) == "80 of 200, 1:00 left"
