@@ -88,8 +88,11 @@ class SolvedFile:
     @property
     def sentence(self) -> str:
         """The proof status in the terms of a set-cover file."""
-        proof = self.result.sentence.replace(" for these candidates and samples", "")
-        return proof.replace("views", "columns").replace("view", "column")
+        return (
+            self.result.sentence.replace("candidate poses", "columns")
+            .replace("views", "columns")
+            .replace("view", "column")
+        )
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the table for a terminal: problem, cover, bound and columns."""

@@ -13,6 +13,7 @@ from benchmarks.exploring.lab import Knowledge, Lab, NextView
 from cell.explore import belief
 from cell.explore.frustum import MinRangeOccluder, area_below_min_range, should_keep_min_range
 from cell.explore.policy import Batch, BatchRequest, expected_samples
+from cell.explore.refinement import improve_views
 from cell.explore.stage import BELIEF_SCHEDULE, MAX_ROWS, MAX_SCOUTS, N_DRAWN, N_STARTS
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import GainRecord, select_by_gain_per_second
@@ -23,7 +24,6 @@ from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster
 from planner.values import Floats
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.refinement import improve_views
 
 
 class _Ours:

@@ -176,7 +176,7 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
     annotations: dict[str, object] = {"part": before.report.part, "common_cover": before.is_setup_of_group or None}
     if not is_bounded:
-        annotations["status"] = "edited by hand; the smallest number of views is not known"
+        annotations["status"] = "Edited by hand; the smallest number of views is not known"
     for view in edited.views:
         if not (plan.matrix.indices == view).any():
             session.note(f"{edited.names[view]} measures none of the samples")

@@ -297,6 +297,7 @@ def _status(plan: ConnectedPlan, requested: float) -> str:
     status = plan.cover.sentence if plan.selection.details is None else plan.selection.sentence
     if len(plan.selection.targets) <= 1 and plan.target != requested:  # regions have targets of their own
         status += f", at {100 * plan.target:.2f} % of the coverable samples for the requested {100 * requested:g} %"
+    status = status[:1].upper() + status[1:]
     return f"{status}. {plan.searched}" if plan.searched else status
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.plan.selection import MIN_COST, Search, Selection, SelectionProblem, select_views
 from cell.world.self_occlusion import SelfOcclusion
@@ -25,13 +24,9 @@ from planner.tour.generalised_tsp import MANY_CLUSTERS
 from planner.tour.tour import Tour
 from planner.tour.view_times import insertion_times
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.refinement import ViewState
-from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
+from planner.viewpoints.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
-
-REFINED_MARGIN = 0.0005
-"""Share of the coverable area beyond the requested coverage: plans without refinement have as much on average."""
 
 _MAX_LOSS = 0.0002  # share of the coverable area that a shorter motion may cost, if the requested coverage allows it
 _ROUNDING = 1e-9  # of areas that are summed in another order
@@ -312,9 +307,3 @@ def cover_of_motion(original: Cover, M: Measurability, motion: Tour, picks: Ints
     place[sequence] = np.arange(len(picks))
     view = np.where(motion.view >= 0, place[np.maximum(motion.view, 0)], -1)
     return cover, replace(motion, order=place[motion.order], view=view)
-
-
-def viewpoints_of(state: ViewState, moved: Bools, face: NDArray[np.int32]) -> Viewpoints:
-    """Return viewpoints at the moved poses of a refinement, with the planning faces of their origins."""
-    T = state.T_object_scanner[moved]
-    return viewpoints_from_poses(T, T[:, :3, 3] + state.distance[moved, None] * T[:, :3, 2], face)

@@ -7,7 +7,7 @@ candidates, rows, requests and verdicts. A finished stage is on disk before the 
 
 import logging
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -46,6 +46,7 @@ from cell.plan.selection import (
     pose_error,
     pose_probabilities,
     select_least_time,
+    select_thoroughly,
     select_with_row_generation,
 )
 from cell.report import plots
@@ -66,9 +67,11 @@ from cell.world.model import compile_settled
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
+from planner.ports import Progress
 from planner.timing.limits import scale_limits
 from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
+from planner.viewpoints.pose_search import SearchProgress
 from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
@@ -330,15 +333,19 @@ def select_and_connect(
     with session.stage("select the views"):
         rng, before = session.rng(Stream.SELECTION), problem
         fresh = session.rng(Stream.FRESH_SAMPLES)
-        choice = initial = select_with_row_generation(problem.unpriced(), surface, rng, fresh)
-    searched, search = "", None
-    if append is not None and (reason := skip_reason(problem)):
-        searched = f"Poses are not searched: {reason}"
-    elif append is not None:
-        with session.stage("search fewer views") as progress:
+        reason = "" if append is None else skip_reason(problem)
+        is_searched = append is not None and not reason
+        start = select_with_row_generation(problem.unpriced(), surface, rng, fresh, is_short=is_searched)
+    choice, search = start, None
+    if append is not None and is_searched:
+        with _search_stage(session, len(start[1].cover.views)) as report:
             draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
-            moved_problem, moved, search = search_views(*initial, surface, append, draws, others, rng, progress)
+            moved_problem, moved, search = search_views(*start, surface, append, draws, others, rng, report)
             choice = moved_problem, moved
+    initial = start
+    if is_searched and choice[1] is start[1]:
+        choice = initial = start[0], select_thoroughly(*start, rng)
+    searched = f"Poses are not searched: {reason}" if reason else ""
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:
             choice = initial = select_least_time(*choice, rng)
@@ -363,6 +370,26 @@ def select_and_connect(
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)
         return problem, plan
+
+
+@contextmanager
+def _search_stage(session: PlanSession, n_views: int) -> Iterator[SearchProgress]:
+    """Record the pose search as a stage, and report the number of views found so far."""
+    with session.folder.stage("search fewer views"), ExitStack() as shown:
+
+        def show(n_views: int) -> Progress:
+            shown.close()
+            return shown.enter_context(session.reporter.stage(f"search fewer than {n_views} views"))
+
+        fewest, report = n_views, show(n_views)
+
+        def update(done: int, total: int, n_views: int) -> None:
+            nonlocal fewest, report
+            if n_views < fewest:
+                fewest, report = n_views, show(n_views)
+            report(done, total)
+
+        yield update
 
 
 def time_motion(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> tuple[MotionClearance, Motion]:

@@ -10,20 +10,31 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.plan.candidates import GROWN, view_evaluator
 from cell.plan.improvement import cover_of_views
-from cell.plan.selection import Search, Selection, SelectionProblem, select_views
+from cell.plan.selection import Request, Search, Selection, SelectionProblem, select_views
 from cell.world.measurability import PartSurface
+from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.direction_table import DirectionTable
+from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import VisibilityMemo
-from planner.ports import DirectionCaster, Progress, Scanner
+from planner.ports import DirectionCaster, Scanner
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import find_frustum
-from planner.viewpoints.pose_search import EFFORTS, SearchPoses, Shortfall, join_poses, search_poses
+from planner.viewpoints.pose_search import (
+    EFFORTS,
+    Place,
+    SearchPoses,
+    SearchProgress,
+    Shortfall,
+    join_poses,
+    search_poses,
+)
 from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 
 Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
@@ -55,22 +66,23 @@ class PoseSearch:
         effort: name or number of the requested effort.
         evaluated: evaluated poses.
         n_views: number of views at its end.
-        required: share of the coverable held-out samples that fewer views had to measure.
+        is_interrupted: whether Ctrl-C ended it.
     """
 
     effort: str
     evaluated: int
     n_views: int
-    required: float
+    is_interrupted: bool = False
 
     def sentence(self, n_views: int) -> str:
         """Return the result for a plan of a number of views."""
         if not self.evaluated:
-            return "Poses were not searched"
-        begin = f"Pose search ({self.effort} effort, {self.evaluated:,} poses)"
+            return "Pose search was interrupted." if self.is_interrupted else "Poses were not searched."
+        effort = f"interrupted, {self.effort}" if self.is_interrupted else self.effort
+        begin = f"Pose search ({effort} effort, {self.evaluated:,} poses)"
         if n_views <= self.n_views:
-            return f"{begin} found no plan with {n_views - 1} views at {100 * self.required:.2f} %"
-        return f"{begin} found {self.n_views} views, which could not be connected"
+            return f"{begin} found no plan with {n_views - 1}."
+        return f"{begin} found {self.n_views} views, which could not be connected."
 
 
 def skip_reason(problem: SelectionProblem) -> str:
@@ -96,7 +108,7 @@ def skip_reason(problem: SelectionProblem) -> str:
 
 def search_views(
     problem: SelectionProblem, selection: Selection, surface: PartSurface, append: Append, rng: np.random.Generator,
-    fresh: np.random.Generator, selection_rng: np.random.Generator, progress: Progress,
+    fresh: np.random.Generator, selection_rng: np.random.Generator, progress: SearchProgress,
 ) -> tuple[SelectionProblem, Selection, PoseSearch]:  # fmt: skip
     """Find fewer views that measure as much of the held-out samples, among all reachable poses.
 
@@ -108,15 +120,13 @@ def search_views(
         rng: samples and proposals.
         fresh: samples on which found views are compared with the given ones.
         selection_rng: randomness of the selection among all candidates.
-        progress: called with (evaluated poses, effort).
+        progress: called with evaluated poses, effort, and the number of views found so far.
 
     Returns:
         Problem and selection with the moved views; the given ones if there are no fewer views.
     """
     plan, known = problem.request.plan, problem.prediction
-    poses = EFFORTS[plan.effort] if plan.effort in EFFORTS else int(plan.effort)
-    share = problem.request.effort.pose_search_share * max(1.0, len(selection.cover.views) / MANY_VIEWS)
-    effort = round(poses * share)
+    effort = effort_of(problem.request, len(selection.cover.views))
     usable = np.flatnonzero(problem.usable())
     pool = poses_of(problem.candidates, usable)
     pinned = np.flatnonzero(np.isin(selection.cover.views, plan.pinned))
@@ -124,18 +134,26 @@ def search_views(
     initial = np.searchsorted(usable, np.delete(selection.cover.views, pinned))
     least = min(plan.coverage + MARGIN, 1.0)
     if not (effort and len(initial) > 1):
-        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), least)
-    table, weights = _table(problem, surface, pool, fixed, len(initial), rng)
+        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views))
+    try:
+        samples, weights = draw_evaluated([(problem.M, problem.usable())], surface, len(initial), rng)
+        table = make_table(samples, known)
+        coverable = table.measured(pool.T_object_scanner).any(axis=0)
+        # In random order, so that sums over some of them are spread over the surface.
+        needed = rng.permutation(np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0)))
+        shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
+    except KeyboardInterrupt as stop:
+        if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
+            raise
+        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), is_interrupted=True)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
-
-    shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
-
+    # Shares of the coverable area: the shortfall on held-out samples has the same unit.
     found = search_poses(
-        initial, pool, table, weights,
-        are_reachable=lambda T: evaluator.are_reachable(T[:, None]), shortfall=shortfall, effort=effort, rng=rng,
-        progress=progress,
+        initial, pool, [Place(table.pick(needed), lambda T: evaluator.are_reachable(T[:, None]))],
+        weights[needed] / weights[coverable].sum(), shortfall=shortfall, effort=effort, rng=rng,
+        progress=lambda done, total, n_views: progress(done, total, len(fixed) + n_views),
     )  # fmt: skip
-    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), least)
+    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), found.is_interrupted)
     if len(found.views) == len(initial):
         return problem, selection, result
     more, moved = _appended(problem, selection, join_poses([fixed, found.views]), append)
@@ -172,11 +190,26 @@ def _shortfall(
     return shortfall
 
 
-def poses_of(candidates: Viewpoints, which: Ints) -> SearchPoses:
-    """Return the poses of some candidates at rest."""
+def effort_of(request: Request, n_views: int) -> int:
+    """Return the effort of a search that begins with a number of views."""
+    effort = request.plan.effort
+    poses = EFFORTS[effort] if effort in EFFORTS else int(effort)
+    return round(poses * request.effort.pose_search_share * max(1.0, n_views / MANY_VIEWS))
+
+
+def poses_of(candidates: Viewpoints, which: Ints, place: int = 0) -> SearchPoses:
+    """Return the poses of some candidates at rest, in a set-up."""
+    unmoved = np.zeros(len(which), dtype=np.bool_)
     return SearchPoses(
-        candidates.T_object_scanner[which, 0], candidates.standoff[which], which, np.zeros(len(which), dtype=np.bool_)
+        candidates.T_object_scanner[which, 0], candidates.standoff[which], which, unmoved, np.full(len(which), place)
     )
+
+
+def moved_viewpoints(views: SearchPoses, faces: NDArray[np.int32]) -> Viewpoints:
+    """Return the moved ones of some views as viewpoints, with the planning faces (V,) of the candidates."""
+    moved = views.pick(views.moved)
+    T = moved.T_object_scanner
+    return viewpoints_from_poses(T, T[:, :3, 3] + moved.distance[:, None] * T[:, :3, 2], faces[moved.origin])
 
 
 def distances_of(scanner: Scanner) -> tuple[float, float]:
@@ -186,23 +219,28 @@ def distances_of(scanner: Scanner) -> tuple[float, float]:
     return float(distance.min()), float(distance.max())
 
 
-def _table(
-    problem: SelectionProblem, surface: PartSurface, pool: SearchPoses, fixed: SearchPoses, n_views: int,
-    rng: np.random.Generator,
-) -> tuple[DirectionTable, Floats]:  # fmt: skip
-    """Return the table of the samples that candidates measure and fixed views do not, and the weight of each sample."""
-    known = problem.prediction
+def draw_evaluated(
+    matrices: Sequence[tuple[Measurability, Bools]], surface: PartSurface, n_views: int, rng: np.random.Generator
+) -> tuple[SurfaceSamples, Floats]:
+    """Draw samples on which poses are evaluated, and the weight of each.
+
+    Args:
+        matrices: of each set-up, with its usable candidates: samples that many measure are thinned out.
+        surface: the part.
+        n_views: number of views.
+        rng: of the samples.
+    """
     samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
-    kept, share = _thinned(_ease(problem, samples), max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
-    weights = 1.0 / share[kept]
-    samples = pick_samples(samples, kept)
+    ease = np.mean([_ease(M, usable, samples) for M, usable in matrices], axis=0)
+    kept, share = _thinned(ease, max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
+    return pick_samples(samples, kept), 1.0 / share[kept]
+
+
+def make_table(samples: SurfaceSamples, known: Prediction) -> DirectionTable:
+    """Return the direction table of samples, with scanner and casters of a prediction."""
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
     part, *occluders = cast(Sequence[DirectionCaster], known.casters)
-    table = DirectionTable.build(targets, known.scanner, part, occluders, distances_of(known.scanner))
-    coverable = table.measured(pool.T_object_scanner).any(axis=1)
-    needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1))
-    # Shares of the coverable area: the shortfall on held-out samples has the same unit.
-    return table.pick(needed), weights[needed] / weights[coverable].sum()
+    return DirectionTable.build(targets, known.scanner, part, occluders, distances_of(known.scanner))
 
 
 def _thinned(ease: Floats, count: int) -> tuple[Ints, Floats]:
@@ -219,29 +257,27 @@ def _thinned(ease: Floats, count: int) -> tuple[Ints, Floats]:
     return np.flatnonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0), share
 
 
-def _ease(problem: SelectionProblem, samples: SurfaceSamples) -> Floats:
-    """Return (S,) share of the reachable candidates that measure the rows on the planning face of each sample."""
-    M = problem.M
+def _ease(M: Measurability, usable: Bools, samples: SurfaceSamples) -> Floats:
+    """Return (S,) share of the usable candidates that measure the rows on the planning face of each sample."""
     faces = 1 + int(max(M.samples.planning_face.max(), samples.planning_face.max(initial=0)))
     rows = np.bincount(M.samples.planning_face, minlength=faces)
     entries = np.bincount(M.samples.planning_face, weights=np.diff(M.indptr), minlength=faces)
-    return (entries / np.maximum(rows, 1) / max(1, int(problem.usable().sum())))[samples.planning_face]
+    return np.asarray((entries / np.maximum(rows, 1) / max(1, int(usable.sum())))[samples.planning_face])
 
 
 def _appended(
     problem: SelectionProblem, selection: Selection, views: SearchPoses, append: Append
 ) -> tuple[SelectionProblem, Selection]:
     """Append moved views to the candidates, and return all views as a selection."""
-    T, distance = views.T_object_scanner[views.moved], views.distance[views.moved]
-    aim = T[:, :3, 3] + distance[:, None] * T[:, :3, 2]
-    face = problem.candidates.face[views.origin[views.moved]]
-    more = append(problem, viewpoints_from_poses(T, aim, face))
+    more = append(problem, moved_viewpoints(views, problem.candidates.face))
     numbers = views.origin.copy()
-    numbers[views.moved] = len(problem.candidates) + np.arange(len(T))
+    numbers[views.moved] = len(problem.candidates) + np.arange(int(views.moved.sum()))
     is_coverable: Bools = np.diff(more.M.indptr) > 0
+    measures_some = np.bincount(more.M.indices, minlength=len(more.candidates)) > 0
     unbounded = replace(
         selection.cover, lower_bound=1, status=CoverStatus.BOUNDED, uncoverable_rows=np.flatnonzero(~is_coverable),
         coverable_area=float(more.M.samples.areas[is_coverable].sum()),
+        n_candidates=int((measures_some & more.usable()).sum()),
     )  # fmt: skip
     cover, _ = cover_of_views(unbounded, more.M, numbers)
     share = more.prediction.share_of_coverable(more.candidates.T_object_scanner[cover.views])

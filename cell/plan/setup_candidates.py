@@ -261,6 +261,11 @@ class PlannedSetup(Setup):
         )  # fmt: skip
         return replace(self, measured=measured)
 
+    def are_reachable(self, T_object_scanner: Floats) -> Bools:
+        """Return (n,) whether the arm takes up each pose (n, 4, 4) [m] without collision."""
+        known = self.measured.prediction
+        return view_evaluator(self.cell, known.scanner, known.casters).are_reachable(T_object_scanner[:, None])
+
     def evaluator(self, samples: SurfaceSamples) -> ViewEvaluator:
         """Return the evaluator of free poses; samples in contact with a support are not measured."""
         known = self.measured.prediction

@@ -15,8 +15,8 @@ from scipy.sparse import csr_array, hstack
 from cell.errors import UnreachableError, UsageError
 from cell.plan import pipeline, selection
 from cell.plan.candidates import GROWN, PlanSession
-from cell.plan.improvement import REFINED_MARGIN, viewpoints_of
 from cell.plan.motion import ConnectedPlan, connect_views
+from cell.plan.pose_search import draw_evaluated, effort_of, make_table, moved_viewpoints, poses_of
 from cell.plan.selection import (
     PinnedViewError,
     RegionGroups,
@@ -33,6 +33,7 @@ from cell.runs.schema import Curve
 from cell.scene.model import Scene, with_rest
 from cell.session import Stream
 from cell.world.measurability import PartSurface
+from cell.world.support_contact import in_contact
 from planner.cover import CoverProblem, CoverStatus
 from planner.cover.curve import coverage_curve
 from planner.cover.grouped import GroupedCover, fewest_views, solve_grouped
@@ -42,8 +43,10 @@ from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.matrix import Measurability, append_rows
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.refinement import ViewState, reduce_views
+from planner.viewpoints.pose_search import Place, SearchPoses, join_poses, search_poses
+
+REFINED_MARGIN = 0.0005
+"""Share of the coverable area beyond the requested coverage: plans without moved views have as much on average."""
 
 _MAX_COVERS = 20  # covers tried in all
 _MAX_THOROUGH = 3  # searches for fewer views with the full budget
@@ -320,7 +323,7 @@ class SetupSearch:
         if not (self._request.allows_refinement and self._request.is_evaluated and is_movable):
             return None
         goal = float(found.loads.wanted[0])
-        setups, self._M, views = refine_setups(self._session, self._surface, setups, self._M, self._views(found), goal)
+        setups, self._M, views = search_setups(self._session, self._surface, setups, self._M, self._views(found), goal)
         self.setups |= setups
         if sum(map(len, views.values())) == found.n_views:
             return None
@@ -467,11 +470,11 @@ def _driven(connected: Connected) -> Poses:
     return {row: setup.T_object_poses for row, setup in connected.items()}
 
 
-def refine_setups(
+def search_setups(
     session: PlanSession, surface: PartSurface, setups: Mapping[int, PlannedSetup], M: Mapping[int, Measurability],
     views: Mapping[int, Ints], goal: float,
 ) -> tuple[dict[int, PlannedSetup], dict[int, Measurability], dict[int, Ints]]:  # fmt: skip
-    """Move views of several set-ups so that fewer are needed; a view is needed for samples that no other view measures.
+    """Search fewer views over all reachable poses of the used set-ups (`planner.viewpoints.pose_search`).
 
     Args:
         session: of the plan.
@@ -482,48 +485,55 @@ def refine_setups(
         goal: area of rows that they measure [m^2].
 
     Returns:
-        Set-ups, matrices and views with the refined views as candidates; the input if no view can be spared.
+        Set-ups, matrices and views with the moved views as candidates; the input if no view can be spared.
     """
-    used = list(views)
-    setup_of = np.repeat(used, [len(views[row]) for row in used])
-    selected = np.concatenate([views[row] for row in used])
-    rows = M[used[0]].samples
-    coverable_rows = np.logical_or.reduce([np.diff(each.indptr) > 0 for each in M.values()])
-    areas = np.where(coverable_rows, rows.areas, 0.0)
-    candidates = {row: setups[row].measured.candidates for row in used}
-    before = ViewState(
-        np.concatenate([candidates[row].T_object_scanner[views[row], 0] for row in used]),
-        np.concatenate([candidates[row].standoff[views[row]] for row in used]),
-        np.arange(len(selected)),
-        np.zeros(len(selected), dtype=np.bool_),
-        np.hstack([M[row].matrix().tocsc()[:, views[row]].toarray() for row in used]),
-    )
-    coverable = np.logical_or.reduce([setup.coverable for setup in setups.values()])
+    used, n_views = list(views), sum(map(len, views.values()))
+    request = Request(setups[used[0]].settled.scene.plan, effort=session.effort)
+    effort, rng = effort_of(request, n_views), session.rng(Stream.POSE_SEARCH)
+    known, matrices, left = dict(setups), dict(M), {row: np.array(columns) for row, columns in views.items()}
+    if not effort:
+        return known, matrices, left
+    rows, coverable = M[used[0]].samples, np.logical_or.reduce([setup.coverable for setup in setups.values()])
+    reachable = {row: setups[row].measured.reached.reachable for row in used}
+    samples, weights = draw_evaluated([(M[row], reachable[row]) for row in used], surface, n_views, rng)
+    pools, places, initial = list[SearchPoses](), list[Place](), list[Ints]()
+    for place, row in enumerate(used):
+        measured, usable = setups[row].measured, np.flatnonzero(reachable[row])
+        table = make_table(samples, measured.prediction).without(in_contact(samples, setups[row].supports))
+        initial.append(np.searchsorted(usable, views[row]) + sum(map(len, pools)))
+        pools.append(poses_of(measured.candidates, usable, place))
+        places.append(Place(table, setups[row].are_reachable))
+    pool = join_poses(pools)
 
-    def share_of(T_object_scanner: Floats, origin: Ints) -> float:
-        poses = {row: T_object_scanner[setup_of[origin] == row][:, None] for row in used}
-        seen = np.logical_or.reduce([setups[row].visible(T) for row, T in poses.items() if len(T)])
+    def poses_in(found: SearchPoses, place: int) -> Floats:
+        return np.asarray(found.T_object_scanner[found.place == place][:, None])
+
+    def share_of(found: SearchPoses) -> float:
+        seen = np.logical_or.reduce([setups[row].visible(poses_in(found, place)) for place, row in enumerate(used)])
         return float(seen.sum() / (coverable | seen).sum())
 
-    requested = setups[used[0]].settled.scene.plan.coverage
-    least = max(min(requested + REFINED_MARGIN, 1.0), share_of(before.T_object_scanner, before.origin))
-    evaluators = {row: setups[row].evaluator(rows) for row in used}
-    after = reduce_views(
-        before, RayTargets.of(rows.points, rows.normals), areas, lambda view: evaluators[int(setup_of[view])],
-        goal=min(goal, float(areas[before.measured.any(axis=1)].sum())),
-        shortfall=lambda state: least - share_of(state.T_object_scanner, state.origin),
-    )  # fmt: skip
-    known, matrices, left = dict(setups), dict(M), {row: np.array(columns) for row, columns in views.items()}
-    if len(after) == len(before):
+    def area_of(found: SearchPoses) -> float:
+        seen = [setups[row].measures(poses_in(found, place), rows) for place, row in enumerate(used)]
+        return float(rows.areas[np.logical_or.reduce(seen)].sum())
+
+    begin = pool.pick(np.concatenate(initial))
+    least = max(min(request.plan.coverage + REFINED_MARGIN, 1.0), share_of(begin))
+    goal = min(goal, area_of(begin))
+
+    def shortfall(found: SearchPoses) -> float:
+        missing = least - share_of(found)
+        return missing if missing > 0 else max(missing, (goal - area_of(found)) / rows.areas.sum())
+
+    found = search_poses(
+        np.concatenate(initial), pool, places, weights / weights.sum(), shortfall=shortfall, effort=effort, rng=rng
+    ).views
+    if len(found) == n_views:
         return known, matrices, left
-    for row in used:
-        own = setup_of[after.origin] == row
-        moved = own & after.moved
-        kept = selected[after.origin[own & ~after.moved]]
-        more = len(candidates[row]) + np.arange(int(moved.sum()))
-        if moved.any():
-            face = candidates[row].face[selected[after.origin[moved]]]
-            known[row] = setups[row].with_viewpoints(session, surface, M[row], viewpoints_of(after, moved, face))
+    for place, row in enumerate(used):
+        own, candidates = found.pick(found.place == place), setups[row].measured.candidates
+        more = moved_viewpoints(own, candidates.face)
+        if len(more):
+            known[row] = setups[row].with_viewpoints(session, surface, M[row], more)
             matrices[row] = known[row].measured.M
-        left[row] = np.concatenate([kept, more]).astype(np.int64)
+        left[row] = np.concatenate([own.origin[~own.moved], len(candidates) + np.arange(len(more))])
     return known, matrices, {row: columns for row, columns in left.items() if len(columns)}

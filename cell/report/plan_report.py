@@ -84,7 +84,7 @@ def table(report: Report) -> Rows:
     coverage, motion = report.coverage, report.motion
     clearance, bound, fewest = motion.minimum_clearance_mm, motion.jerk_free_bound_s, report.lower_bound
     rows = [
-        ("views", f"{report.n_views}  ({report.status})"),
+        ("views", f"{report.n_views}. {report.status}"),
         ("lower bound", f"{'1 view' if fewest == 1 else f'{fewest} views'} for these candidates and samples"),
         (
             "visible coverage",

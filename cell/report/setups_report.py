@@ -38,7 +38,7 @@ def status(found: GroupedCover, offered: int, requested: Floats) -> str:
     if found.upper_area is not None:
         points = 100 * (found.upper_area - found.covered_area) / max(found.upper_area, 1e-300)
         if points <= 0:
-            return f"{fewest}; proven maximum coverage for {views} views in {setups} set-ups"
+            return f"{fewest}; proven maximum coverage for {views} views of the candidates in {setups} set-ups"
         return f"{fewest}; {views} views in {setups} set-ups cannot exceed this by more than {max(points, 0.01):.2f} %"
     if found.cost_and_bound is not None:
         paid, least = found.cost_and_bound
@@ -47,7 +47,7 @@ def status(found: GroupedCover, offered: int, requested: Floats) -> str:
     raised = not np.array_equal(found.targets, requested)
     at = f", at {comma_list(np.round(100 * found.targets, 2))} % of the samples for the request" if raised else ""
     if views <= views_bound:
-        return f"{fewest}; proven fewest views in {setups} set-ups{at}"
+        return f"{fewest}; optimal for the candidates in {setups} set-ups (bound {views_bound}){at}"
     more = views - views_bound
     return f"{fewest}; at most {more} {'view' if more == 1 else 'views'} more than the fewest in {setups} set-ups{at}"
 

@@ -210,7 +210,7 @@ def plan_contents(
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
     rows = [
-        ("views", f"{report.n_views} ({report.status})"),
+        ("views", f"{report.n_views}. {report.status}"),
         ("lower bound", f"{report.lower_bound} for these candidates and samples"),
         ("visible coverage", f"{_format_percent(coverage.visible)} of the surface"),
         ("coverable", f"{_format_percent(coverage.coverable)} by reachable candidates"),

@@ -22,7 +22,7 @@ FLOAT_ERROR = 1e-12
 class CoverStatus(Enum):
     """Result of a selection; the value is its sentence for reports, without numbers (`Cover.sentence` has them)."""
 
-    PROVEN = "proven optimal for these candidates and samples"
+    PROVEN = "optimal for these candidates and samples"
     BOUNDED = "within a known distance of the optimum for these candidates and samples"
     TIME_LIMITED = "the time limit stopped the search; within a known distance of the optimum"
     INTERRUPTED = "the search was interrupted; within a known distance of the optimum"
@@ -58,6 +58,7 @@ class Cover(Value):
         cost_and_bound: cost of the views and a lower bound on it; None without costs.
         max_views: largest number of views; None: not limited.
         n_views_without_overlap: views of the best selection without the overlap constraint; None without one.
+        n_candidates: usable columns that measure something, to which the bounds refer.
     """
 
     views: Annotated[Ints, "n"]
@@ -77,6 +78,7 @@ class Cover(Value):
     cost_and_bound: tuple[float, float] | None = None
     max_views: int | None = None
     n_views_without_overlap: int | None = None
+    n_candidates: int = 0
 
     @property
     def cost(self) -> float:
@@ -113,22 +115,25 @@ class Cover(Value):
             return self._sentence_of_area()
         best = "fewest" if self.cost_and_bound is None else "cheapest"
         best += " connected views" if self.n_views_without_overlap is not None else " views"
+        candidates = f"the {self.n_candidates:,} candidate poses"
+        bound = "" if self.cost_and_bound is not None else f" (bound {self.lower_bound})"
         if self.status is CoverStatus.PROVEN:
-            return f"proven {best} for these candidates and samples"
+            is_plain = best == "fewest views"
+            return f"{'optimal for' if is_plain else f'proven {best} of'} {candidates}{bound}"
         if self.cost_and_bound is not None:
             within = f"costs at most {100 * self.gap / (1 - self.gap):.3g} % more than the {best}"
         else:
             within = f"at most {self.excess_views} {'view' if self.excess_views == 1 else 'views'} more than the {best}"
-        return f"{self.termination}{within} for these candidates and samples"
+        return f"{self.termination}{within} of {candidates}{bound}"
 
     def _sentence_of_area(self) -> str:
         if self.covered_area >= self.coverable_area:
             return "these views measure the complete coverable surface"
         views = "1 view" if self.max_views == 1 else f"{self.max_views} views"
+        most = f"maximum coverage with {views} of the {self.n_candidates:,} candidate poses"
         if self.status is CoverStatus.PROVEN:
-            return f"proven maximum coverage with {views} for these candidates and samples"
-        points = max(self.gap_percent, 0.01)
-        return f"{self.termination}at most {points:.2f} percentage points below the maximum coverage with {views}"
+            return f"proven {most}"
+        return f"{self.termination}at most {max(self.gap_percent, 0.01):.2f} percentage points below the {most}"
 
     @property
     def termination(self) -> str:
@@ -194,9 +199,12 @@ def make_cover(
         if cost_and_bound is not None:
             cost, cost_bound = cost_and_bound
             is_proven = is_proven and cost - cost_bound <= COST_TOLERANCE * cost
-            # a cover of this cost has at least as many columns as the most expensive ones need for it
-            highest = int(instance.costs.max(initial=1)) + int(instance.group_costs.max(initial=0))
-            bound = -(-bound // highest)
+            # besides the forced columns, at least as many as the most expensive ones need for the rest of the bound
+            forced = form.forced_columns
+            per_group = int(instance.group_costs.max(initial=0))
+            highest = int(np.delete(instance.costs, forced).max(initial=1)) + per_group
+            rest = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
+            bound = len(forced) + max(-(-rest // highest), 0)
         lower_bound = len(idle) + bound
     if not instance.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
@@ -224,6 +232,7 @@ def make_cover(
         cost_and_bound=cost_and_bound,
         max_views=problem.max_views,
         n_views_without_overlap=n_views_without_overlap,
+        n_candidates=len(form.columns),
     )
 
 
@@ -255,12 +264,17 @@ def _cost_and_bound(problem: CoverProblem, form: CanonicalForm, views: Ints, bou
     def cost_of(columns: Ints) -> float:
         return float(costs[columns].sum()) + float(group_costs[np.unique(group[columns])].sum())
 
-    given, lower = costs[form.columns], bound * unit
+    forced = form.forced_columns  # they are in every selection, so that their costs are exact
+    forced_cost = float(costs[form.columns[forced]].sum())
+    left = np.delete(np.arange(instance.n_columns), forced)
+    given, units, bound = costs[form.columns[left]], instance.costs[left], bound - int(instance.costs[forced].sum())
+    lower = bound * unit
     rounded_groups = np.rint(group_costs / unit)
-    if not (np.array_equal(given, instance.costs * unit) and np.array_equal(group_costs, rounded_groups * unit)):
+    if not (np.array_equal(given, units * unit) and np.array_equal(group_costs, rounded_groups * unit)):
         rounded = np.maximum(rounded_groups, 1.0)
-        added = float(np.maximum(instance.costs - given / unit, 0.0).sum())
+        added = float(np.maximum(units - given / unit, 0.0).sum())
         added += float(np.maximum(rounded - group_costs / unit, 0.0)[group_costs > 0].sum())
-        shares = np.concatenate((given / instance.costs, (group_costs / rounded)[group_costs > 0]))
+        shares = np.concatenate((given / units, (group_costs / rounded)[group_costs > 0]))
         lower = max(bound * float(shares.min(initial=unit)), (bound - added) * unit) * (1 - FLOAT_ERROR)
+    lower = max(lower, 0.0) + forced_cost
     return cost_of(views), min(lower + cost_of(form.idle_pins), cost_of(views))

@@ -61,8 +61,12 @@ AREA_UNITS = 2**52
 COST_UNITS = 2**17
 """Units of the largest cost, if costs are not whole numbers: the rounding error is below 1e-5 of it.
 
-This is far below the accuracy of motion and scan times, and one unit is more than the tolerances of the solvers.
+Forced columns do not count: they may cost far more. The error is far below the accuracy of motion and scan times, and
+one unit is more than the tolerances of the solvers.
 """
+
+MAX_COST_SUM = 2.0**62
+"""Sum of all costs in units above which a problem is refused: sums are int64."""
 
 TARGET_TOLERANCE = Fraction(1, 10**12)
 """Share of a target below full coverage that may be missing (rounding of the areas)."""
@@ -91,6 +95,7 @@ class CanonicalForm(Value):
         cost_unit: caller's cost of one unit.
         pinned: pinned columns of the matrix, ascending.
         pinned_columns: those of them that cover something, as columns of `reduced`.
+        forced_columns: columns of `reduced` in every selection: pinned, or needed by a row that must be covered.
         residual: the problem that remains after the pinned columns; with an overlap graph they are part of it.
         residual_columns: (r,) column of `reduced` of each of its columns.
     """
@@ -104,6 +109,7 @@ class CanonicalForm(Value):
     cost_unit: float
     pinned: Annotated[Ints, "_"]
     pinned_columns: Annotated[Ints, "_"]
+    forced_columns: Annotated[Ints, "_"]
     residual: CoverInstance
     residual_columns: Annotated[Ints, "r"]
 
@@ -127,8 +133,6 @@ def canonical_form(problem: CoverProblem) -> CanonicalForm:
     n_columns = matrix.shape[1]
     areas = np.array(problem.areas, dtype=np.float64)
     group, group_costs = _groups(problem, n_columns)
-    costs, group_units, cost_unit = _integer_costs(problem.costs, n_columns, group_costs)
-
     useful = np.flatnonzero(usable & (np.diff(matrix.indptr) > 0))
     M = matrix if len(useful) == n_columns else matrix[:, useful]
     has_unit_loads = M.dtype == np.int8
@@ -143,6 +147,13 @@ def canonical_form(problem: CoverProblem) -> CanonicalForm:
     limited = min(problem.demand, 2**30) if isinstance(problem.demand, int) else np.minimum(problem.demand, 2**30)
     demanded = np.broadcast_to(limited, available.shape)
     demand = np.minimum(available, demanded)[rows]
+    is_full = problem.coverage == 1.0 and problem.max_views is None
+    forced = np.zeros(n_columns, dtype=np.bool_)
+    forced[pinned] = True
+    if is_full:  # rows that demand all of their columns
+        forced[useful] |= M.T @ (available <= demanded)[rows].astype(np.int64) > 0
+    is_useful = np.isin(np.arange(n_columns), useful)
+    costs, group_units, cost_unit = _integer_costs(problem.costs, is_useful, forced, group_costs)
     start, hashed = M.indptr.astype(np.int64), M.indices
     if not has_unit_loads:
         M.data, hashed = np.minimum(M.data, demand[M.indices]), hashed.astype(np.int64)
@@ -165,7 +176,7 @@ def canonical_form(problem: CoverProblem) -> CanonicalForm:
         demand=demand,
         units=units,
         required=max(required, 0),
-        full=problem.coverage == 1.0 and max_columns is None,
+        full=is_full,
         max_columns=max_columns,
         costs=costs[columns],
         group=group[columns],
@@ -184,6 +195,7 @@ def canonical_form(problem: CoverProblem) -> CanonicalForm:
         cost_unit=cost_unit,
         pinned=pinned,
         pinned_columns=pinned_columns,
+        forced_columns=np.flatnonzero(forced[columns]),
         residual=residual,
         residual_columns=left,
     )
@@ -265,8 +277,20 @@ def _integer_areas(areas: Floats) -> Ints:
     return np.maximum(np.rint(relative * (AREA_UNITS / fsum(relative))), 1.0).astype(np.int64)
 
 
-def _integer_costs(costs: ArrayLike | None, n_columns: int, group_costs: Floats) -> tuple[Ints, Ints, float]:
-    """Return the costs of columns and groups as integers, and the caller's cost of one unit."""
+def _integer_costs(
+    costs: ArrayLike | None, useful: Bools, forced: Bools, group_costs: Floats
+) -> tuple[Ints, Ints, float]:
+    """Return the costs of columns and groups as integers, and the caller's cost of one unit.
+
+    The largest cost of a column that may be selected or not has `COST_UNITS`: a forced one may be far more expensive.
+
+    Args:
+        costs: (V,) as the caller gives them.
+        useful: (V,) whether each column is usable and covers something.
+        forced: (V,) whether each column is in every selection.
+        group_costs: (G,) cost of each group.
+    """
+    n_columns = len(useful)
     given = np.ones(n_columns) if costs is None else np.array(costs, dtype=np.float64)
     if given.shape != (n_columns,):
         raise PlannerError(
@@ -275,12 +299,20 @@ def _integer_costs(costs: ArrayLike | None, n_columns: int, group_costs: Floats)
     bad = np.flatnonzero(~(np.isfinite(given) & (given > 0)))
     if len(bad):
         raise PlannerError(f"costs[{bad[0]}] is {given[bad[0]]}; a cost must be a finite number above zero")
+    given[~useful] = given[useful].min(initial=given.max(initial=1.0))
     both = np.concatenate((given, group_costs))
-    top = float(both.max(initial=0.0))
-    if top <= COST_UNITS and (both == np.rint(both)).all():
+    top = max(float(given[~forced].max(initial=0.0)), float(group_costs.max(initial=0.0))) or float(
+        given.max(initial=1.0)
+    )
+    if both.max(initial=0.0) <= COST_UNITS and (both == np.rint(both)).all():
         whole = both.astype(np.int64)
         divisor = max(int(np.gcd.reduce(whole)), 1)
         return whole[:n_columns] // divisor, whole[n_columns:] // divisor, float(divisor)
+    if (both / top).sum() * COST_UNITS >= MAX_COST_SUM:
+        raise PlannerError(
+            f"the costs span too many orders of magnitude ({both[both > 0].min():g} to {both.max():g}) to be summed "
+            "exactly; leave out the forced columns, or round the costs"
+        )
     units = np.maximum(np.rint(given / top * COST_UNITS), 1.0).astype(np.int64)
     groups = np.rint(group_costs / top * COST_UNITS).astype(np.int64)
     if (units == units[0]).all() and not groups.any():

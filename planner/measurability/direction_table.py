@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from planner.compiled import compiled
 from planner.ports import AreaLimits, DirectionCaster, RayCaster, Scanner
-from planner.values import Bools, Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Ints32, Value
 from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
 
 N_NODES = 33
@@ -41,6 +41,7 @@ _UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
 # Marks of a pose and a row besides 0, not measured, and 1, measured: lines of sight near an edge of the part or of
 # occluders.
 _SOURCE_PART, _SENSOR_PART, _SOURCE_OTHERS, _SENSOR_OTHERS = 2, 4, 8, 16
+_BLOCK = 64  # rows that are evaluated together
 
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
@@ -101,15 +102,14 @@ class DirectionTable(Value):
         lifted = np.ascontiguousarray(targets.lifted)
         bits = _cast(lifted, frames, (part,), far, _COARSEST_PART)
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
-        # A direction that is free at one length is free at shorter ones.
         free = _cast(lifted, frames, occluders, float(lengths[-1]), _COARSEST_OTHERS)
         some = np.flatnonzero((free != _all_free()).any(axis=1))
-        shorter = [
-            _cast(lifted[some], frames[some], occluders, float(length), _COARSEST_OTHERS) for length in lengths[:-1]
-        ]
+        by_range = [free[some]]
+        for length in reversed(lengths[:-1]):  # a direction that is free at one length is free at shorter ones
+            by_range.append(_cast(lifted[some], frames[some], occluders, float(length), _COARSEST_OTHERS, by_range[-1]))
         row_of = np.full(len(targets), -1)
         row_of[some] = np.arange(len(some))
-        near_bits = np.stack([*shorter, free[some]], axis=1)
+        near_bits = np.stack(by_range[::-1], axis=1)
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
@@ -131,48 +131,58 @@ class DirectionTable(Value):
             near=self.near[rows],
         )  # fmt: skip
 
+    def without(self, rows: Bools) -> "DirectionTable":
+        """Return the table with (S,) selected samples occluded in all directions."""
+        bits, edge_bits = (np.where(rows[:, None], np.uint8(0), each) for each in (self.bits, self.edge_bits))
+        return replace(self, bits=bits, edge_bits=edge_bits)
+
     def weights_measured(
-        self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
+        self, T_object_scanner: Floats, rows: Ints, starts: Ints, weights: Floats, thresholds: Floats
     ) -> Floats:
-        """Return (n,) the sum of the weights of the rows that each pose measures; a sum below the threshold is partial.
+        """Return (n, P) the sum of weights that each pose measures; a sum below its threshold may be partial.
 
         Args:
-            T_object_scanner: (n, 4, 4) poses [m].
-            rows: (m,) samples.
-            weights: (m,) of them.
-            threshold: smallest sum of interest; it saves time if rows come first that most poses measure.
+            T_object_scanner: (n, P, 4, 4) poses, P for each of n sets of rows [m].
+            rows: (m,) samples of all sets; the order of a set should be spread over the surface, to show losses early.
+            starts: (n + 1,) first row of each set.
+            weights: (S,) of all samples.
+            thresholds: (n,) smallest sum of interest for each set; -inf evaluates all.
         """
+        n, P = T_object_scanner.shape[:2]
+        sums = np.empty((n, P))
         if self.limits is None:
-            return np.asarray(weights @ self.measured(T_object_scanner, rows))
-        result, nothing = np.empty(len(T_object_scanner)), np.empty((0, 0), dtype=np.uint8)
-        self._evaluate(self._packed(T_object_scanner), rows, weights, threshold, result, nothing)
-        return result
+            for k, T in enumerate(T_object_scanner):
+                own = rows[starts[k] : starts[k + 1]]
+                sums[k] = self.measured(T, own) @ weights[own]
+            return sums
+        poses = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1)
+        sum_weights(
+            self.frames, self.bits, self.near, self.near_bits, self.ranges, rows, starts, weights[rows], poses,
+            self.limits, thresholds, sums,
+        )  # fmt: skip
+        return sums
 
     def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
-        """Return (m, n) whether each of n poses (n, 4, 4) [m] measures each of (m,) rows; None: all samples."""
+        """Return (n, m) whether each of n poses (n, 4, 4) [m] measures each of (m,) rows; None: all samples.
+
+        Exact rays decide where a node has a neighbour that differs from it.
+        """
         rows = np.arange(len(self)) if rows is None else rows
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
-            self._evaluate(poses, rows, np.zeros(len(rows)), -np.inf, np.empty(len(poses)), found)
+            mark_rows(
+                self.frames, self.bits, self.edge_bits, self.near, self.near_bits, self.near_edge_bits, self.ranges,
+                rows, poses, self.limits, found,
+            )  # fmt: skip
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
             for first in range(0, len(poses), together):
                 some = slice(first, first + together)
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
             found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
+            found[:, ~self.bits[rows].any(axis=1)] = 0
         self._decide_edges(T_object_scanner, rows, found)
-        return np.asarray(found.T > 0)
-
-    def _evaluate(
-        self, poses: Floats32, rows: Ints, weights: Floats, threshold: float, sums: Floats,
-        found: Bytes,
-    ) -> None:  # fmt: skip
-        """Call `evaluate` with the values of the table."""
-        assert self.limits is not None, "the law has no compiled limits"
-        evaluate(
-            self.frames, self.bits, self.edge_bits, self.near, self.near_bits, self.near_edge_bits, self.ranges, rows,
-            weights, poses, self.limits, threshold, sums, found,
-        )  # fmt: skip
+        return np.asarray(found > 0)
 
     def _decide_edges(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
         """Decide `found` (n, m) by exact rays where a line of sight is near an edge."""
@@ -181,15 +191,17 @@ class DirectionTable(Value):
             for end in (self.scanner.source, self.scanner.sensor)
         )
         part, *others = self.casters
-        for mark, ends, casters in (
+        pose, column = np.nonzero(found > 1)
+        mark = found[pose, column]
+        for bit, ends, casters in (
             (_SOURCE_PART, source, (part,)), (_SENSOR_PART, sensor, (part,)),
             (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
         ):  # fmt: skip
-            pose, column = np.nonzero(found & mark)
             for caster in casters:
-                is_blocked = caster.blocked(self.targets.lifted[rows[column]], ends[pose])
-                found[pose[is_blocked], column[is_blocked]] = 0
-                pose, column = pose[~is_blocked], column[~is_blocked]
+                some = np.flatnonzero(mark & bit)
+                is_blocked = caster.blocked(self.targets.lifted[rows[column[some]]], ends[pose[some]])
+                mark[some[is_blocked]] = 0
+        found[pose, column] = mark
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
         """Return (n, 18): rotation by columns, position, source and sensor of each pose."""
@@ -234,8 +246,20 @@ def _edges(bits: Bytes) -> Bytes:
     return np.packbits(edges.reshape(free.shape), axis=2, bitorder="little")
 
 
-def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, step: int) -> Bytes:
-    """Return (s, B) whether each node of s samples is free up to a length [m], packed; `step` of the first level."""
+def _cast(
+    lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, step: int,
+    known: Bytes | None = None,
+) -> Bytes:  # fmt: skip
+    """Return (s, B) whether each node of s samples is free up to a length [m], packed.
+
+    Args:
+        lifted: (s, 3) origins [m].
+        frames: (s, 12) of the samples.
+        casters: of what may occlude.
+        length: of the rays [m].
+        step: nodes between two nodes of the first level.
+        known: (s, B) nodes that are free at a greater length, packed.
+    """
     nodes = _node_directions()
     bits = np.empty((len(lifted), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
     for first in range(0, len(lifted), _TOGETHER):
@@ -243,8 +267,13 @@ def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], 
         origins, local = lifted[some], frames[some]
         free = np.full((len(origins), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
         free[:, ::step, ::step] = _TO_CAST
+        is_known = None
+        if known is not None:
+            is_known = np.unpackbits(known[some], axis=1, count=N_NODES * N_NODES, bitorder="little").view(np.bool_)
         level = step
         while True:
+            if is_known is not None:
+                free[(free == _TO_CAST) & is_known.reshape(free.shape)] = 1
             sample, node = list_nodes(free, level)
             directions = turn_nodes(nodes, local, sample, node)
             is_free = np.ones(len(sample), dtype=np.bool_)
@@ -332,12 +361,133 @@ def subdivide(free: Bytes, step: int) -> None:
 
 
 @compiled
-def evaluate(
-    frames: Floats32, bits: Bytes, edge_bits: Bytes, near: Ints, near_bits: Bytes, near_edge_bits: Bytes,
-    ranges: Floats32, rows: Ints, weights: Floats, poses: Floats32, limits: Floats32, threshold: float, sums: Floats,
-    found: Bytes,
+def gather_blocks(frames: Floats32, rows: Ints) -> Floats32:
+    """Return the frames of rows in blocks (B, 12, `_BLOCK`), filled up with zeros, which no pose measures."""
+    found = np.zeros(((len(rows) + _BLOCK - 1) // _BLOCK, 12, _BLOCK), dtype=np.float32)
+    for m in range(len(rows)):
+        for k in range(12):
+            found[m // _BLOCK, k, m % _BLOCK] = frames[rows[m], k]
+    return found
+
+
+@compiled
+def find_nodes(block: Floats32, pose: Floats32, limits: Floats32, nodes: Ints32, squared: Floats32) -> None:
+    """Find the nodes in which source and sensor are seen from the rows of a block; branch-free, so that it vectorises.
+
+    Args:
+        block: (12, _BLOCK) frames.
+        pose: (18,) from `_packed`.
+        limits: (13,) of the scanner, by `planner.ports.AreaLimits`.
+        nodes: (2, _BLOCK), overwritten; the first is -1 for rows that the scanner rejects.
+        squared: (2, _BLOCK), overwritten with the squared distances [m^2].
+    """
+    baseline, tan_h, tan_v, tan_u, tan_w = limits[0], limits[1], limits[2], limits[3], limits[4]
+    nearest, farthest = limits[5] * limits[5], limits[6] * limits[6]
+    front, back, cos_t, sin_t = limits[7], limits[8], limits[11], limits[12]
+    cos_source, cos_sensor = limits[9] * abs(limits[9]), limits[10] * abs(limits[10])
+    x_x, x_y, x_z, y_x, y_y, y_z, z_x, z_y, z_z = pose[0:9]
+    o_x, o_y, o_z, s_x, s_y, s_z, q_x, q_y, q_z = pose[9:18]
+    zero, half, size = np.float32(0), np.float32((N_NODES - 1) // 2), np.int32(N_NODES)
+    middle, has_sensor_limits = half + np.float32(0.5), tan_u > zero
+    points, normals, tangents, bitangents = block[0:3], block[3:6], block[6:9], block[9:12]
+    for m in range(_BLOCK):
+        p_x, p_y, p_z = points[0, m], points[1, m], points[2, m]
+        n_x, n_y, n_z = normals[0, m], normals[1, m], normals[2, m]
+        t_x, t_y, t_z = tangents[0, m], tangents[1, m], tangents[2, m]
+        b_x, b_y, b_z = bitangents[0, m], bitangents[1, m], bitangents[2, m]
+        l_x, l_y, l_z = s_x - p_x, s_y - p_y, s_z - p_z
+        e_x, e_y, e_z = q_x - p_x, q_y - p_y, q_z - p_z
+        d_x, d_y, d_z = p_x - o_x, p_y - o_y, p_z - o_z
+        c = n_x * l_x + n_y * l_y + n_z * l_z
+        g = n_x * e_x + n_y * e_y + n_z * e_z
+        x = x_x * d_x + x_y * d_y + x_z * d_z
+        y = y_x * d_x + y_y * d_y + y_z * d_z
+        z = z_x * d_x + z_y * d_y + z_z * d_z
+        u, across = x - baseline, y * y + z * z
+        to_source, to_sensor = x * x + across, u * u + across
+        is_good = (c > zero) & (g > zero) & (z > zero) & (z >= front) & (z <= back)
+        is_good &= (abs(x) <= tan_h * z) & (abs(y) <= tan_v * z) & (to_source >= nearest) & (to_source <= farthest)
+        is_good &= (c * c >= cos_source * to_source) & (g * g >= cos_sensor * to_sensor)
+        along, beside = cos_t * z - sin_t * u, cos_t * u + sin_t * z
+        is_seen = (along > zero) & (abs(beside) <= tan_u * along) & (abs(y) <= tan_w * along)
+        is_good &= is_seen | (not has_sensor_limits)
+        a, b = t_x * l_x + t_y * l_y + t_z * l_z, b_x * l_x + b_y * l_y + b_z * l_z
+        scale = np.divide(half, abs(a) + abs(b) + abs(c))
+        node = np.int32((a + b) * scale + middle) * size + np.int32((a - b) * scale + middle)
+        nodes[0, m] = node if is_good else np.int32(-1)
+        a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
+        scale = np.divide(half, abs(a) + abs(b) + abs(g))
+        nodes[1, m] = np.int32((a + b) * scale + middle) * size + np.int32((a - b) * scale + middle)
+        squared[0, m], squared[1, m] = to_source, to_sensor
+
+
+@compiled
+def is_free(bits: Bytes, node: int) -> bool:
+    """Return whether a node of a packed row (B,) is set."""
+    return bool((bits[node >> 3] >> (node & 7)) & 1)
+
+
+@compiled
+def range_of(squared: float, ranges: Floats32) -> int:
+    """Return the range of a squared distance [m^2]."""
+    return min(max(int((np.sqrt(squared) - ranges[0]) * ranges[1]), 0), N_RANGES - 1)
+
+
+@compiled
+def sum_weights(
+    frames: Floats32, bits: Bytes, near: Ints, near_bits: Bytes, ranges: Floats32, rows: Ints, starts: Ints,
+    weights: Floats, poses: Floats32, limits: Floats32, thresholds: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Evaluate poses by the conditions of `planner.ports.AreaLimits` and the table; written out for speed.
+    """Sum the weights of the rows that poses measure by the table alone.
+
+    Args:
+        frames: of the samples.
+        bits: of the samples.
+        near: of the samples.
+        near_bits: of samples near occluders.
+        ranges: of distance.
+        rows: (m,) samples of all n sets.
+        starts: (n + 1,) first row of each set.
+        weights: (m,) of the rows.
+        poses: (n, P, 18) from `_packed`.
+        limits: (13,) of the scanner.
+        thresholds: (n,) the rest of a pose is skipped once its sum cannot reach it.
+        sums: (n, P), overwritten.
+    """
+    nodes, squared = np.empty((2, _BLOCK), dtype=np.int32), np.empty((2, _BLOCK), dtype=np.float32)
+    for k in range(len(poses)):
+        begin, end = starts[k], starts[k + 1]
+        blocks, weight_of_all = gather_blocks(frames, rows[begin:end]), weights[begin:end].sum()
+        for p in range(poses.shape[1]):
+            total, left = 0.0, weight_of_all
+            for block in range(len(blocks)):
+                find_nodes(blocks[block], poses[k, p], limits, nodes, squared)
+                first = begin + block * _BLOCK
+                for m in range(min(_BLOCK, end - first)):
+                    left -= weights[first + m]
+                    if nodes[0, m] < 0:
+                        continue
+                    row, source, sensor = rows[first + m], nodes[0, m], nodes[1, m]
+                    if not (is_free(bits[row], source) and is_free(bits[row], sensor)):
+                        continue
+                    if near[row] >= 0:
+                        others = near_bits[near[row]]
+                        if not is_free(others[range_of(squared[0, m], ranges)], source):
+                            continue
+                        if not is_free(others[range_of(squared[1, m], ranges)], sensor):
+                            continue
+                    total += weights[first + m]
+                if total + left < thresholds[k]:
+                    break
+            sums[k, p] = total
+
+
+@compiled
+def mark_rows(
+    frames: Floats32, bits: Bytes, edge_bits: Bytes, near: Ints, near_bits: Bytes, near_edge_bits: Bytes,
+    ranges: Floats32, rows: Ints, poses: Floats32, limits: Floats32, found: Bytes,
+) -> None:  # fmt: skip
+    """Mark the rows that poses measure, with further marks where that is uncertain.
 
     Args:
         frames: of the samples.
@@ -348,99 +498,32 @@ def evaluate(
         near_edge_bits: of samples near occluders.
         ranges: of distance.
         rows: (m,) samples.
-        weights: (m,) of them.
         poses: (n, 18) from `_packed`.
         limits: (13,) of the scanner.
-        threshold: the rest of a pose is skipped once its sum cannot reach it; -inf evaluates all.
-        sums: (n,), overwritten with the weights of the rows that each pose measures.
-        found: (n, m), set to 1 where a pose measures a row, and to other marks where that is uncertain; nothing is set
-            if it has no rows.
+        found: (n, m), zeros, set to a mark where a pose measures a row.
     """
-    baseline, tan_h, tan_v, tan_u, tan_w = limits[0], limits[1], limits[2], limits[3], limits[4]
-    nearest, farthest = limits[5] * limits[5], limits[6] * limits[6]
-    front, back, cos_t, sin_t = limits[7], limits[8], limits[11], limits[12]
-    cos_source, cos_sensor = limits[9] * abs(limits[9]), limits[10] * abs(limits[10])
-    half, rounding = np.float32((N_NODES - 1) // 2), np.float32(0.5)
-    begin, density, last = ranges[0], ranges[1], N_RANGES - 1
-    marks, weight_of_all = len(found) > 0, 0.0
-    for m in range(len(rows)):
-        weight_of_all += weights[m]
+    nodes, squared = np.empty((2, _BLOCK), dtype=np.int32), np.empty((2, _BLOCK), dtype=np.float32)
+    blocks = gather_blocks(frames, rows)
     for k in range(len(poses)):
-        x_x, x_y, x_z = poses[k, 0], poses[k, 1], poses[k, 2]
-        y_x, y_y, y_z = poses[k, 3], poses[k, 4], poses[k, 5]
-        z_x, z_y, z_z = poses[k, 6], poses[k, 7], poses[k, 8]
-        o_x, o_y, o_z = poses[k, 9], poses[k, 10], poses[k, 11]
-        s_x, s_y, s_z = poses[k, 12], poses[k, 13], poses[k, 14]
-        q_x, q_y, q_z = poses[k, 15], poses[k, 16], poses[k, 17]
-        total, bound = 0.0, weight_of_all
-        for m in range(len(rows)):
-            bound -= weights[m]  # until the row is found to be measured
-            if total + bound < threshold - weights[m]:
-                break
-            row = rows[m]
-            p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
-            n_x, n_y, n_z = frames[row, 3], frames[row, 4], frames[row, 5]
-            l_x, l_y, l_z = s_x - p_x, s_y - p_y, s_z - p_z
-            c = n_x * l_x + n_y * l_y + n_z * l_z
-            if not c > 0:
-                continue
-            d_x, d_y, d_z = p_x - o_x, p_y - o_y, p_z - o_z
-            z = z_x * d_x + z_y * d_y + z_z * d_z
-            if not (z > 0 and z >= front and z <= back):
-                continue
-            x = x_x * d_x + x_y * d_y + x_z * d_z
-            if abs(x) > tan_h * z:
-                continue
-            y = y_x * d_x + y_y * d_y + y_z * d_z
-            if abs(y) > tan_v * z:
-                continue
-            across = y * y + z * z
-            squared = x * x + across
-            if squared < nearest or squared > farthest or c * c < cos_source * squared:
-                continue
-            e_x, e_y, e_z = q_x - p_x, q_y - p_y, q_z - p_z
-            g = n_x * e_x + n_y * e_y + n_z * e_z
-            u = x - baseline
-            if not g > 0 or g * g < cos_sensor * (u * u + across):
-                continue
-            if tan_u > 0:
-                along, beside = cos_t * z - sin_t * u, cos_t * u + sin_t * z
-                if not (along > 0 and abs(beside) <= tan_u * along and abs(y) <= tan_w * along):
+        for block in range(len(blocks)):
+            find_nodes(blocks[block], poses[k], limits, nodes, squared)
+            first = block * _BLOCK
+            for m in range(min(_BLOCK, len(rows) - first)):
+                if nodes[0, m] < 0:
                     continue
-            t_x, t_y, t_z = frames[row, 6], frames[row, 7], frames[row, 8]
-            b_x, b_y, b_z = frames[row, 9], frames[row, 10], frames[row, 11]
-            a, b = t_x * l_x + t_y * l_y + t_z * l_z, b_x * l_x + b_y * l_y + b_z * l_z
-            scale = half / (abs(a) + abs(b) + c)
-            node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            mark, is_edge = 1, marks and (edge_bits[row, node >> 3] >> (node & 7)) & 1 == 1
-            if is_edge:
-                mark |= _SOURCE_PART
-            elif (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
-                continue
-            other = near[row]
-            if other >= 0:
-                level = min(max(int((np.sqrt(squared) - begin) * density), 0), last)
-                is_edge = marks and (near_edge_bits[other, level, node >> 3] >> (node & 7)) & 1 == 1
-                if is_edge:
-                    mark |= _SOURCE_OTHERS
-                elif (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
-                    continue
-            a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
-            scale = half / (abs(a) + abs(b) + g)
-            node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            is_edge = marks and (edge_bits[row, node >> 3] >> (node & 7)) & 1 == 1
-            if is_edge:
-                mark |= _SENSOR_PART
-            elif (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
-                continue
-            if other >= 0:
-                level = min(max(int((np.sqrt(u * u + across) - begin) * density), 0), last)
-                is_edge = marks and (near_edge_bits[other, level, node >> 3] >> (node & 7)) & 1 == 1
-                if is_edge:
-                    mark |= _SENSOR_OTHERS
-                elif (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
-                    continue
-            total += weights[m]
-            if marks:
-                found[k, m] = mark
-        sums[k] = total
+                row, mark = rows[first + m], 1
+                for end in range(2):
+                    node = nodes[end, m]
+                    if is_free(edge_bits[row], node):
+                        mark |= _SENSOR_PART if end else _SOURCE_PART
+                    elif not is_free(bits[row], node):
+                        mark = 0
+                        break
+                    if near[row] >= 0:
+                        level = range_of(squared[end, m], ranges)
+                        if is_free(near_edge_bits[near[row], level], node):
+                            mark |= _SENSOR_OTHERS if end else _SOURCE_OTHERS
+                        elif not is_free(near_bits[near[row], level], node):
+                            mark = 0
+                            break
+                found[k, first + m] = mark

@@ -14,46 +14,59 @@ area. Effort is counted in evaluated poses. Object frame, metres.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
 
+from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
-from planner.values import Bools, Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Ints32, Value
 
-EFFORTS = {"low": 20_000, "normal": 80_000, "high": 800_000}
+EFFORTS = {"low": 12_000, "normal": 48_000, "high": 800_000}
 """Poses that a search evaluates."""
 
-_PROPOSALS = 24  # of a view in a round
-_TESTED = 4  # best proposals of a view that are tested for reachability
-_LAST_PART = 0.2  # of the effort, for a larger area
+_PROPOSALS = 12  # of a view in a round
+_TESTED = 3  # best proposals of a view that are tested for reachability
+_LAST_PART = 0.1  # of the effort, for a larger area
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
-_VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
+_VIEWS_PER_REMOVAL = 15  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
-_INTERLEAVED = 8  # the rows of a view are evaluated in this many passes over the surface, so that losses show early
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
-_TEMPERATURE = 1.5e-4  # share of the surface
+_TEMPERATURE = 3e-4  # share of the surface
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
 
 class PoseEvaluator(Protocol):
-    """Fast approximate evaluation of poses on S samples."""
+    """Fast evaluation of poses on S samples."""
 
     def weights_measured(
-        self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
+        self, T_object_scanner: Floats, rows: Ints, starts: Ints, weights: Floats, thresholds: Floats
     ) -> Floats:
-        """Return (n,) the sum of weights (m,) of the rows (m,) that each pose (n, 4, 4) [m] measures.
+        """Return (n, P) approximate sums of the weights that poses (n, P, 4, 4) [m] measure, of n sets of rows.
 
-        A sum below the threshold may be partial.
+        Set k is rows[starts[k] : starts[k + 1]]. A sum below its threshold may be partial.
         """
         ...
 
-    def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
-        """Return (m, n) whether each pose (n, 4, 4) [m] measures each row; None: all S."""
+    def measured(self, T_object_scanner: Floats) -> Bools:
+        """Return (n, S) whether each pose (n, 4, 4) [m] measures each sample."""
         ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A set-up in which poses are searched.
+
+    Attributes:
+        evaluator: of poses on the S samples.
+        are_reachable: (m, 4, 4) [m] -> (m,) whether the arm takes up each pose without collision.
+    """
+
+    evaluator: PoseEvaluator
+    are_reachable: Callable[[Floats], Bools]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,28 +78,35 @@ class SearchPoses(Value):
         distance: (n,) to the point at which each is aimed [m].
         origin: (n,) number among the initial views and the candidates of the pose from which each was moved.
         moved: (n,) whether the pose differs from that candidate's.
+        place: (n,) number of the set-up in which the part is measured.
     """
 
     T_object_scanner: Annotated[Floats, "n 4 4"]
     distance: Annotated[Floats, "n"]
     origin: Annotated[Ints, "n"]
     moved: Annotated[Bools, "n"]
+    place: Annotated[Ints, "n"]
 
     def __len__(self) -> int:
         return len(self.origin)
 
-    def pick(self, which: Ints) -> "SearchPoses":
+    def pick(self, which: Ints | Bools) -> "SearchPoses":
         """Return some of the poses."""
-        return SearchPoses(self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which])
+        return SearchPoses(
+            self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which],
+            self.place[which],
+        )  # fmt: skip
 
-    def at(self, view: int, T_object_scanner: Floats, pool: "SearchPoses", candidate: int | None) -> "SearchPoses":
-        """Return the poses with one view moved to a pose (4, 4) [m], which is that of a candidate or near its own."""
-        T, distance = self.T_object_scanner.copy(), self.distance.copy()
-        origin, moved = self.origin.copy(), self.moved.copy()
-        T[view], moved[view] = T_object_scanner, candidate is None
-        if candidate is not None:
-            distance[view], origin[view] = pool.distance[candidate], pool.origin[candidate]
-        return SearchPoses(T, distance, origin, moved)
+    def with_pose(self, view: int, T_object_scanner: Floats) -> "SearchPoses":
+        """Return the poses with one view moved to a pose (4, 4) [m] near its own."""
+        T, moved = self.T_object_scanner.copy(), self.moved.copy()
+        T[view], moved[view] = T_object_scanner, True
+        return replace(self, T_object_scanner=T, moved=moved)
+
+    def with_view(self, view: int, other: "SearchPoses") -> "SearchPoses":
+        """Return the poses with one view replaced by a single other one."""
+        parts = (self.pick(np.arange(view)), other, self.pick(np.arange(view + 1, len(self))))
+        return join_poses(parts)
 
 
 def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
@@ -96,8 +116,12 @@ def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
         np.concatenate([part.distance for part in parts]),
         np.concatenate([part.origin for part in parts]),
         np.concatenate([part.moved for part in parts]),
+        np.concatenate([part.place for part in parts]),
     )
 
+
+SearchProgress = Callable[[int, int, int], None]
+"""Receive evaluated poses, effort, and the number of views found so far."""
 
 Shortfall = Callable[[SearchPoses], float]
 """Return the share of the surface by which views miss the requirement, by exact rays; at most 0 if they hold it."""
@@ -110,44 +134,45 @@ class SearchResult:
     Attributes:
         views: the fewest views that passed the exact test; the initial ones if there are none.
         evaluated: number of evaluated poses.
+        is_interrupted: whether Ctrl-C ended the search.
     """
 
     views: SearchPoses
     evaluated: int
+    is_interrupted: bool = False
 
 
 def search_poses(
     initial: Ints,
     pool: SearchPoses,
-    evaluator: PoseEvaluator,
+    places: Sequence[Place],
     weights: Floats,
     *,
-    are_reachable: Callable[[Floats], Bools],
     shortfall: Shortfall,
     effort: int,
     rng: np.random.Generator,
-    progress: Callable[[int, int], None] | None = None,
+    progress: SearchProgress | None = None,
 ) -> SearchResult:
     """Search fewer views than the initial ones.
 
     Args:
         initial: (n,) candidates, numbers in `pool`.
         pool: reachable candidates.
-        evaluator: of poses on S samples.
+        places: set-ups by their numbers.
         weights: (S,) share of the surface of each sample.
-        are_reachable: (m, 4, 4) [m] -> (m,) whether the arm takes up each pose without collision.
         shortfall: share of the surface by which views miss the requirement, by exact rays; at most 0 if they hold it.
         effort: poses that are evaluated.
         rng: of proposals and accepted moves.
-        progress: called with (evaluated poses, effort).
+        progress: called with evaluated poses, effort and number of views so far.
 
     Returns:
         The result; Ctrl-C ends the search with the fewest views so far.
     """
-    search = _Search(pool, evaluator, weights, are_reachable, effort, rng, progress)
     best = pool.pick(initial)
     count, before_last_part = max(1, len(best) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
+    search = None
     try:
+        search = _Search(pool, places, weights, effort, rng, progress)
         while search.evaluated < before_last_part and len(best) > 1:
             count = min(count, len(best) - 1)
             found = search.repaired(best, count, shortfall, before_last_part)
@@ -160,74 +185,97 @@ def search_poses(
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
+        return SearchResult(best, 0 if search is None else search.evaluated, is_interrupted=True)
     return SearchResult(best, search.evaluated)
 
 
 class _Search:
-    """State of a search: current views with the samples that they measure."""
+    """State of a search: n current views with the S samples that they measure."""
 
     def __init__(
-        self, pool: SearchPoses, evaluator: PoseEvaluator, weights: Floats, are_reachable: Callable[[Floats], Bools],
-        effort: int, rng: np.random.Generator, progress: Callable[[int, int], None] | None,
+        self, pool: SearchPoses, places: Sequence[Place], weights: Floats, effort: int, rng: np.random.Generator,
+        progress: SearchProgress | None,
     ) -> None:  # fmt: skip
-        self.pool, self.evaluator, self.weights, self.are_reachable = pool, evaluator, weights, are_reachable
+        self.pool, self.places, self.weights = pool, places, weights
         self.effort, self.rng, self.progress = effort, rng, progress
         self.evaluated, self.rounds = 0, 0
-        self.pool_measured = csr_array(evaluator.measured(pool.T_object_scanner).T, dtype=np.float32)
-        self.views, self.measured = pool.pick(np.arange(0)), np.empty((len(weights), 0), dtype=np.bool_)
-        self.count = np.zeros(len(weights), dtype=np.int64)
+        self.pool_measured = self._measured(pool)
+        self.pool_of_row = csr_array(self.pool_measured.T)
+        self._set(pool.pick(np.arange(0)), np.empty((0, len(weights)), dtype=np.bool_))
 
     def repaired(self, start: SearchPoses, removed: int, shortfall: Shortfall, effort: int) -> SearchPoses | None:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
-        measured = self.evaluator.measured(start.T_object_scanner)
-        goal = float(self.weights[measured.any(axis=1)].sum()) + max(0.0, shortfall(start))
+        measured = self._measured(start)
+        goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
         kept = self._needed_most(measured, removed)
-        self._set(start.pick(kept), measured[:, kept])
-        limit = effort if removed == 1 else min(effort, self.evaluated + effort // 8)
-        best, best_area, since = self.views, self._area(), 0
+        self._set(start.pick(kept), measured[kept])
+        limit = effort if removed == 1 else min(effort, self.evaluated + effort // 5)
+        best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
         while self.evaluated < limit:
             self._round()
             area = self._area()
             since += 1
             if area > best_area:
-                best, best_area, since = self.views, area, 0
+                best, best_area, since = (self.views, self.measured.copy()), area, 0
                 if area >= goal:
-                    missing = shortfall(best)
+                    missing = shortfall(self.views)
                     if missing <= 0:
-                        return best
+                        return self.views
                     goal = area + missing
             elif since > _PATIENCE:
-                self._set(best, self.evaluator.measured(best.T_object_scanner))
+                self._set(*best)
                 since = 0
-            if self.progress:
-                self.progress(min(self.evaluated, self.effort), self.effort)
+            self._report(len(start))
         return None
 
     def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses:
         """Return the views moved to a larger area with the remaining effort, if exact rays confirm it."""
-        self._set(start, self.evaluator.measured(start.T_object_scanner))
+        self._set(start, self._measured(start))
         best, best_area = start, self._area()
         while self.evaluated < self.effort:
             self._round()
             if (area := self._area()) > best_area:
                 best, best_area = self.views, area
+            self._report(len(start))
         return best if shortfall(best) < shortfall(start) else start
+
+    def _measured(self, poses: SearchPoses) -> Bools:
+        """Return (n, S) whether each pose measures each sample."""
+        found = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
+        for place in np.unique(poses.place):
+            own = np.flatnonzero(poses.place == place)
+            found[own] = self.places[place].evaluator.measured(poses.T_object_scanner[own])
+        return found
+
+    def _sums(self, T: Floats, rows: Ints, starts: Ints, least: Floats) -> Floats:
+        """Return (n, P) approximate weights of the open rows that proposals (n, P, 4, 4) of the views measure."""
+        sums = np.empty(T.shape[:2])
+        for place in np.unique(self.views.place):
+            own = np.flatnonzero(self.views.place == place)
+            rows_of = np.concatenate([rows[starts[view] : starts[view + 1]] for view in own])
+            starts_of = np.concatenate([[0], np.cumsum(np.diff(starts)[own])])
+            evaluator = self.places[place].evaluator
+            sums[own] = evaluator.weights_measured(T[own], rows_of, starts_of, self.weights, least[own])
+        return sums
+
+    def _report(self, n_views: int) -> None:
+        if self.progress:
+            self.progress(min(self.evaluated, self.effort), self.effort, n_views)
 
     def _set(self, views: SearchPoses, measured: Bools) -> None:
         self.views, self.measured = views, measured.copy()
-        self.count = measured.sum(axis=1)
+        self.count = measured.sum(axis=0)
 
     def _area(self) -> float:
         return float(self.weights[self.count > 0].sum())
 
     def _needed_most(self, measured: Bools, removed: int) -> Ints:
         """Return all views but `removed`: repeatedly drop the one with the smallest area that no other measures."""
-        kept, times = np.arange(measured.shape[1]), measured.sum(axis=1)
+        kept, times = np.arange(len(measured)), measured.sum(axis=0)
         for _ in range(removed):
-            once = np.flatnonzero(times == 1)
-            owner = measured[np.ix_(once, kept)].argmax(axis=1)
-            least = int(np.argmin(np.bincount(owner, self.weights[once], len(kept))))
-            times = times - measured[:, kept[least]]
+            alone = (measured[kept] & (times == 1)) @ self.weights
+            least = int(np.argmin(alone))
+            times = times - measured[kept[least]]
             kept = np.delete(kept, least)
         return kept
 
@@ -238,58 +286,49 @@ class _Search:
         """
         n, T = len(self.views), self._perturbed()
         accepted = _TEMPERATURE * np.log(self.rng.random(n))
-        tested = []
-        for view in range(n):
-            rows, weights, least = self._rows(view, float(accepted[view]))
-            area = self.evaluator.weights_measured(T[view], rows, weights, least)
-            best = np.argsort(-area, kind="stable")[:_TESTED]
-            tested += [(view, proposal) for proposal in best[area[best] >= least].tolist()]
-        proposed = np.array([T[view, proposal] for view, proposal in tested]).reshape(-1, 4, 4)
-        is_moved = np.zeros(n, dtype=np.bool_)
-        for (view, _), pose, is_reachable in zip(tested, proposed, self.are_reachable(proposed), strict=True):
-            if is_reachable and not is_moved[view]:
-                is_moved[view] = self._move(view, pose, None, float(accepted[view]))
+        rows, starts = list_open_rows(self.measured, self.count)
+        least = self._own_weights(rows, starts) + accepted
+        area = self._sums(T, rows, starts, least)
+        best = np.argsort(-area, axis=1, kind="stable")[:, :_TESTED]
+        view, rank = np.nonzero(np.take_along_axis(area, best, axis=1) >= least[:, None])
+        tested = replace(self.views.pick(view), T_object_scanner=T[view, best[view, rank]])
+        is_reachable = np.zeros(len(tested), dtype=np.bool_)
+        for place in np.unique(tested.place):
+            own = tested.place == place
+            is_reachable[own] = self.places[place].are_reachable(tested.T_object_scanner[own])
+        left = np.flatnonzero(is_reachable)
+        while len(left):
+            own, first = np.unique(view[left], return_index=True)
+            some = tested.pick(left[first])
+            is_moved = self._accepted(own, self._measured(some), accepted[own])
+            for number in np.flatnonzero(is_moved):
+                self.views = self.views.with_pose(int(own[number]), some.T_object_scanner[number])
+            left = np.delete(left, first)
+            left = left[~np.isin(view[left], own[is_moved])]
         if self.rounds % _FROM_POOL == _FROM_POOL - 1:
-            for view in range(n):
-                rows, weights, least = self._rows(view, 0.0)
-                wanted = np.zeros(len(self.weights), dtype=np.float32)
-                wanted[rows] = weights
-                of_pool = np.asarray(self.pool_measured @ wanted)
-                candidate = int(of_pool.argmax())
-                if of_pool[candidate] > least:
-                    self._move(view, self.pool.T_object_scanner[candidate], candidate, 0.0)
+            self._take_from_pool()
         self.evaluated += n * _PROPOSALS
         self.rounds += 1
 
-    def _rows(self, view: int, accepted: float) -> tuple[Ints, Floats, float]:
-        """Return the rows that no other view measures, their weights, and the weight that a new pose must measure."""
-        only = np.flatnonzero(self.measured[:, view] & (self.count == 1))
-        spread = [only[k::_INTERLEAVED] for k in range(_INTERLEAVED)]
-        rows = np.concatenate([*spread, np.flatnonzero(self.count == 0)])
-        return rows, self.weights[rows], float(self.weights[only].sum()) + accepted
+    def _take_from_pool(self) -> None:
+        """Replace each view by the best candidate, if that measures more."""
+        for view in range(len(self.views)):
+            rows = np.flatnonzero(self.count == self.measured[view])
+            own = float(self.weights[rows[self.measured[view, rows]]].sum())
+            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, own)
+            if candidate >= 0:
+                here = np.array([candidate])
+                if self._accepted(np.array([view]), self.pool_measured[here], np.zeros(1))[0]:
+                    self.views = self.views.with_view(view, self.pool.pick(here))
 
-    def _move(self, view: int, T_object_scanner: Floats, candidate: int | None, accepted: float) -> bool:
-        """Move a view to a pose (4, 4) [m], if it measures enough of what no other view measures.
+    def _own_weights(self, rows: Ints, starts: Ints) -> Floats:
+        """Return (n,) weight of the open rows that each view measures."""
+        n = len(self.views)
+        view = np.repeat(np.arange(n), np.diff(starts))
+        return np.bincount(view, self.weights[rows] * self.measured[view, rows], n).astype(np.float64)
 
-        Args:
-            view: that is moved.
-            T_object_scanner: near its pose, or that of a candidate [m].
-            candidate: whose pose it is.
-            accepted: change of the weight of measured samples that is accepted.
-
-        Returns:
-            Whether the view was moved.
-        """
-        new = self.evaluator.measured(T_object_scanner[None])[:, 0]
-        old = self.measured[:, view]
-        alone = self.count == old
-        if self.weights[new & alone].sum() < self.weights[old & alone].sum() + accepted:
-            return False
-        self.count += new
-        self.count -= old
-        self.measured[:, view] = new
-        self.views = self.views.at(view, T_object_scanner, self.pool, candidate)
-        return True
+    def _accepted(self, view: Ints, measured: Bools, change: Floats) -> Bools:
+        return accept_moves(self.measured, self.count, self.weights, view, measured, change)
 
     def _perturbed(self) -> Floats:
         """Return (n, _PROPOSALS, 4, 4) poses around those of the views [m]: shifted, and turned about their aim."""
@@ -305,3 +344,76 @@ class _Search:
         found[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
         found[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
         return found.reshape(n, _PROPOSALS, 4, 4)
+
+
+@compiled
+def list_open_rows(measured: Bools, count: Ints) -> tuple[Ints, Ints]:
+    """List for each of n views the rows that no other view measures.
+
+    Args:
+        measured: (n, S) whether each view measures each row.
+        count: (S,) views that measure each row.
+
+    Returns:
+        The rows of all views, and the (n + 1,) first one of each.
+    """
+    n, starts = len(measured), np.zeros(len(measured) + 1, dtype=np.int64)
+    for view in range(n):
+        starts[view + 1] = starts[view]
+        for row in range(len(count)):
+            starts[view + 1] += count[row] == measured[view, row]
+    rows, k = np.empty(starts[n], dtype=np.int64), 0
+    for view in range(n):
+        for row in range(len(count)):
+            if count[row] == measured[view, row]:
+                rows[k] = row
+                k += 1
+    return rows, starts
+
+
+@compiled
+def accept_moves(measured: Bools, count: Ints, weights: Floats, view: Ints, new: Bools, change: Floats) -> Bools:
+    """Accept moves one after the other, unless they lose too much; `measured` and `count` are changed in place.
+
+    Args:
+        measured: (n, S) whether each view measures each row.
+        count: (S,) views that measure each row.
+        weights: (S,) of the rows.
+        view: (m,) that are moved.
+        new: (m, S) whether each measures each row afterwards.
+        change: (m,) smallest accepted change of the weight of measured rows.
+
+    Returns:
+        (m,) whether each move was accepted.
+    """
+    accepted = np.zeros(len(view), dtype=np.bool_)
+    for k in range(len(view)):
+        old, gain = measured[view[k]], 0.0
+        for row in range(len(count)):
+            if new[k, row] != old[row] and count[row] == old[row]:
+                gain += weights[row] if new[k, row] else -weights[row]
+        if gain >= change[k]:
+            accepted[k] = True
+            for row in range(len(count)):
+                count[row] += np.int64(new[k, row]) - np.int64(old[row])
+                old[row] = new[k, row]
+    return accepted
+
+
+@compiled
+def best_candidate(indptr: Ints32, indices: Ints32, rows: Ints, weights: Floats, least: float) -> int:
+    """Return the candidate that measures the largest weight of some rows; -1 if none measures more than `least`.
+
+    Args:
+        indptr: (S + 1,) first entry of each row.
+        indices: candidates that measure each row.
+        rows: (m,) rows that count.
+        weights: (S,) of the rows.
+        least: weight to exceed.
+    """
+    sums = np.zeros(indices.max() + 1 if len(indices) else 1)
+    for row in rows:
+        for entry in range(indptr[row], indptr[row + 1]):
+            sums[indices[entry]] += weights[row]
+    best = int(sums.argmax())
+    return best if sums[best] > least * (1 + 1e-12) else -1

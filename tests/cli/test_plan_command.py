@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -212,6 +213,29 @@ def test_ctrl_c_in_any_stage_keeps_the_finished_files(
     kept = json.loads(manifest.read_text())
     assert (kept["status"], kept["exit_code"]) == ("interrupted", 130)
     assert (tmp_path / "run.part" / "reference.ply").exists()
+
+
+def test_ctrl_c_in_the_pose_search_keeps_the_fewest_views_so_far(
+    part_file: Path, tmp_path: Path, start_cell: StartCommand
+) -> None:
+    """An interrupt of the pose search ends the search alone: the plan is finished with the views found until then."""
+    process = start_cell(
+        "plan", part_file, "--units", "mm", "--faces", 100, "--no-cache", "--effort", "100000000",
+        "--place", "1100,400,100", "--out", "run", cwd=tmp_path,
+    )  # fmt: skip
+    log = tmp_path / "run.part" / "run.log"
+    deadline = time.monotonic() + 240
+    while time.monotonic() < deadline and process.poll() is None:
+        if log.exists() and log.read_text().count("stage: search fewer than") > 1:  # it found fewer views
+            break
+        time.sleep(0.05)
+    begin = int(re.findall(r"search fewer than (\d+) views", log.read_text())[0])
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=240)
+    assert process.returncode == 0, errors
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["n_views"] < begin
+    assert "Pose search (interrupted, 100000000 effort" in report["status"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

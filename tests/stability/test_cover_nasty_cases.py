@@ -377,3 +377,23 @@ def test_invalid_confidences_are_refused(alpha: float) -> None:
     """Alpha must be above 0 and below 1."""
     with pytest.raises(PlannerError, match="alpha"):
         robust(np.eye(3, dtype=bool), 32, alpha=alpha)
+
+
+@pytest.mark.parametrize("is_pinned", [False, True])
+def test_an_expensive_forced_column_does_not_round_the_others(is_pinned: bool) -> None:
+    """A forced column of 10^9 keeps its cost in the bound, and the others are compared to a thousandth."""
+    matrix = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1], [0, 1, 0, 1]], dtype=bool)
+    matrix[0, 1:] = is_pinned  # without the pin, the first row needs the first column
+    costs, pinned = np.array([1e9, 1.001, 1.002, 1.004]), [0] if is_pinned else []
+    problem = CoverProblem(matrix, np.ones(4), costs=costs, pinned=pinned)
+    found = solve(problem, rng=np.random.default_rng(0))
+    assert sorted(found.views.tolist()) == [0, 1, 2]
+    assert found.cost_bound == pytest.approx(1e9 + 2.003, abs=1e-3)
+    assert found.lower_bound == 3
+
+
+def test_costs_whose_sum_overflows_are_refused() -> None:
+    """A forced column whose cost is no int64 in units of the others is refused."""
+    problem = CoverProblem(np.eye(2, dtype=bool), np.ones(2), costs=[1e20, 1.5], pinned=[0], coverage=0.4)
+    with pytest.raises(PlannerError, match="orders of magnitude"):
+        solve(problem, rng=np.random.default_rng(0))

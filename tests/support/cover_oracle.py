@@ -152,7 +152,8 @@ def assert_consistent(problem: CoverProblem, cover: Cover, *, is_minimal: bool =
             assert cover.cost_bound >= cover.cost * (1 - COST_TOLERANCE)
             assert has_costs or cover.lower_bound == n
     assert (cover.status is CoverStatus.NOTHING_COVERABLE) == (not this.coverable.any())
-    assert ("proven" in cover.sentence) == (cover.status is CoverStatus.PROVEN and "complete" not in cover.sentence)
+    is_certain = cover.sentence.startswith(("optimal for", "proven"))
+    assert is_certain == (cover.status is CoverStatus.PROVEN and "complete" not in cover.sentence)
 
 
 def assert_bounded(selections: Selections, cover: Cover, *, is_optimal: bool) -> None:

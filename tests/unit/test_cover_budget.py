@@ -97,6 +97,6 @@ def test_answers_are_read_only_and_have_sentences() -> None:
     """A cover is read-only and has a sentence, as does each status."""
     assert all(" " in status.sentence for status in CoverStatus)
     cover = solve(CoverProblem(np.eye(3, dtype=bool), np.ones(3)), rng=np.random.default_rng(0))
-    assert cover.sentence == "proven fewest views for these candidates and samples"
+    assert cover.sentence == "optimal for the 3 candidate poses (bound 3)"
     with pytest.raises(ValueError, match="read-only"):
         cover.views[0] = 1

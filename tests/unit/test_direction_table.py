@@ -56,7 +56,7 @@ def test_table_agrees_with_exact_rays(case, scanner):
     samples, caster, T = case
     exact = find_measured(T[:, None], samples, scanner, (caster,), each=True)
     table = _table(case, scanner)
-    found = table.measured(T)
+    found = table.measured(T).T
     assert exact.mean() > 0.02
     assert (found != exact).mean(axis=0).max() < 0.03
     assert (found != exact).mean() < 0.005
@@ -75,16 +75,19 @@ def test_sums_are_those_of_the_measured_rows(case):
     """Sums over some rows are close to those of exact marks; below a threshold they are partial, above it complete."""
     _, _, T = case
     table, rng = _table(case, LaserArea()), np.random.default_rng(3)
-    rows = rng.permutation(2000)[:700]
-    weights = rng.random(700)
-    expected = table.weights_measured(T, rows, weights)
-    exact = weights @ table.measured(T, rows)
-    assert abs(expected - exact).mean() < 0.01 * exact.mean()
-    np.testing.assert_allclose(replace(table, limits=None).weights_measured(T, rows, weights), exact, rtol=1e-3)
-    threshold = float(np.median(expected))
-    some = table.weights_measured(T, rows, weights, threshold)
-    above = expected >= threshold
-    np.testing.assert_allclose(some[above], expected[above], rtol=1e-12)
+    sets = [rng.permutation(2000)[:n] for n in (700, 1, 0)]
+    rows, starts = np.concatenate(sets), np.array([0, 700, 701, 701])
+    poses, weights, all_sums = np.stack([T, T, T]), rng.random(2000), np.full(3, -np.inf)
+    expected = table.weights_measured(poses, rows, starts, weights, all_sums)
+    exact = np.array([table.measured(T, own) @ weights[own] for own in sets])
+    assert abs(expected - exact)[0].mean() < 0.01 * exact[0].mean()
+    assert (abs(expected - exact)[1:] > 0).mean() < 0.02
+    by_law = replace(table, limits=None).weights_measured(poses, rows, starts, weights, all_sums)
+    np.testing.assert_allclose(by_law, exact, rtol=1e-3)
+    threshold = float(np.median(expected[0]))
+    some = table.weights_measured(poses, rows, starts, weights, np.array([threshold, 0.0, 0.0]))[0]
+    above = expected[0] >= threshold
+    np.testing.assert_allclose(some[above], expected[0][above], rtol=1e-12)
     assert (some[~above] < threshold).all()
 
 
@@ -92,7 +95,17 @@ def test_some_samples_are_those_of_the_whole_table(case):
     """A table of some samples measures the same."""
     _, _, T = case
     table, rows = _table(case, LaserArea()), np.arange(5, 2000, 7)
-    np.testing.assert_array_equal(table.pick(rows).measured(T), table.measured(T, rows))
+    np.testing.assert_array_equal(table.pick(rows).measured(T), table.measured(T)[:, rows])
+
+
+def test_selected_samples_are_occluded(case):
+    """Selected samples are measured by no pose, the others as before."""
+    _, _, T = case
+    rows = np.arange(2000) % 3 == 0
+    for table in (_table(case, LaserArea()), _table(case, LaserArea(max_spacing_mm=1.2))):
+        found = table.without(rows).measured(T)
+        assert not found[:, rows].any()
+        np.testing.assert_array_equal(found[:, ~rows], table.measured(T)[:, ~rows])
 
 
 def test_occluders_hide(case):
@@ -105,9 +118,9 @@ def test_occluders_hide(case):
     table = DirectionTable.build(targets, LaserArea(), caster, (occluder,), DISTANCES)
     outward = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     T = aim_viewpoints(np.zeros((2, 3)), outward, np.full(2, -1), [0.25], [0.0]).T_object_scanner[:, 0]
-    above, below = table.measured(T).sum(axis=0)
+    above, below = table.measured(T).sum(axis=1)
     assert above == 0
-    assert below == _table(case, LaserArea()).measured(T)[:, 1].sum() > 100
+    assert below == _table(case, LaserArea()).measured(T)[1].sum() > 100
 
 
 def test_occluders_behind_the_scanner_do_not_hide(case):
@@ -123,7 +136,7 @@ def test_occluders_behind_the_scanner_do_not_hide(case):
         occluder = EmbreeRayCaster(plate.vertices, plate.faces)
         table = DirectionTable.build(targets, LaserArea(), caster, (occluder,), DISTANCES)
         exact = find_measured(T[:, None], samples, LaserArea(), (caster, occluder))
-        assert (table.measured(T)[:, 0] != exact).mean() < 0.01
+        assert (table.measured(T)[0] != exact).mean() < 0.01
         measured.append(int(exact.sum()))
     assert measured[0] == 0
     assert measured[1] > 100

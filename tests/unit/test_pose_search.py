@@ -12,7 +12,7 @@ from planner.geometry.sampling import draw_samples
 from planner.measurability.direction_table import DirectionTable
 from planner.measurability.visibility import fill_matrix, find_measured
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.pose_search import SearchPoses, search_poses
+from planner.viewpoints.pose_search import Place, SearchPoses, search_poses
 from planner.viewpoints.viewpoints import aim_viewpoints
 
 N = 40
@@ -35,7 +35,13 @@ def case():
     candidates = aim_viewpoints(0.03 * outward, outward, np.full(N, -1), [0.1], [0.0])
     M = fill_matrix(candidates, samples, scanner, caster)
     chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
-    pool = SearchPoses(candidates.T_object_scanner[:, 0], np.full(N, 0.1), np.arange(N), np.zeros(N, dtype=bool))
+    pool = SearchPoses(
+        candidates.T_object_scanner[:, 0],
+        np.full(N, 0.1),
+        np.arange(N),
+        np.zeros(N, dtype=bool),
+        np.zeros(N, dtype=int),
+    )
     table = DirectionTable.build(RayTargets.of(samples.points, samples.normals), scanner, caster, (), (0.05, 0.16))
     return samples, scanner, caster, pool, np.sort(chosen), table
 
@@ -48,7 +54,7 @@ def _measured_share(case, views):
 def _search(case, *, are_reachable=_everywhere, required=0.98, effort=60_000, seed=0):
     pool, chosen, table = case[3:]
     return search_poses(
-        chosen, pool, table, np.full(len(table), 1 / len(table)), are_reachable=are_reachable,
+        chosen, pool, [Place(table, are_reachable)], np.full(len(table), 1 / len(table)),
         shortfall=lambda views: required - _measured_share(case, views), effort=effort,
         rng=np.random.default_rng(seed),
     )  # fmt: skip
@@ -86,6 +92,6 @@ def test_views_that_fall_short_are_not_taken(case):
 
 
 def test_effort_limits_the_evaluated_poses(case):
-    """The search ends with the round in which the effort is exhausted; without fewer views, a fifth is left."""
+    """The search ends with the round in which the effort is exhausted; without fewer views, a tenth is left."""
     found = _search(case, required=2.0, effort=5_000)
-    assert 4_000 <= found.evaluated <= 4_000 + 24 * len(case[4])
+    assert 4_500 <= found.evaluated <= 4_500 + 12 * len(case[4])

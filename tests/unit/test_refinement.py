@@ -1,9 +1,12 @@
 """Refined views: the code that fills the matrix measures the result again, pose by pose."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import trimesh
 
+from cell.explore.refinement import improve_views
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.cover import CoverProblem, solve
@@ -14,7 +17,6 @@ from planner.ports import Rejection
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets, in_view, in_view_matrix
 from planner.viewpoints.pose_sampling import perturb_pose
-from planner.viewpoints.refinement import ViewState, improve_views, reduce_views
 from planner.viewpoints.viewpoints import aim_viewpoints
 
 STANDOFF = 0.1
@@ -35,61 +37,12 @@ def case():
     chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
     poses, n = candidates.T_object_scanner[chosen, 0], len(chosen)
     measured = M.matrix().tocsc()[:, chosen].toarray()
-    views = ViewState(poses, np.full(n, STANDOFF), np.arange(n), np.zeros(n, dtype=bool), measured)
+    views = SimpleNamespace(T_object_scanner=poses, distance=np.full(n, STANDOFF), measured=measured)
     return samples, scanner, caster, views
 
 
 def _evaluator(scanner, caster, are_reachable=lambda T: np.ones(len(T), dtype=bool)):
     return ViewEvaluator(scanner, (caster,), are_reachable, np.eye(4)[None])
-
-
-def _reduce(case, *, are_reachable=lambda T: np.ones(len(T), dtype=bool), shortfall=lambda views: 0.0, effort=20_000):
-    samples, scanner, caster, views = case
-    areas = samples.areas / samples.areas.sum()
-    goal = float(areas[views.measured.any(axis=1)].sum())
-    targets = RayTargets.of(samples.points, samples.normals)
-    evaluator = _evaluator(scanner, caster, are_reachable)
-    options = {"goal": goal, "shortfall": shortfall, "effort": effort}
-    return goal, reduce_views(views, targets, areas, lambda view: evaluator, **options)
-
-
-def test_reduced_views_measure_as_much(case):
-    """The rows of each view are those that it measures alone; views that did not move are unchanged."""
-    samples, scanner, caster, views = case
-    goal, after = _reduce(case)
-    assert len(after) < len(views)
-    alone = find_measured(after.T_object_scanner[:, None], samples, scanner, (caster,), each=True)
-    np.testing.assert_array_equal(after.measured, alone)
-    assert samples.areas[alone.any(axis=1)].sum() / samples.areas.sum() >= goal * (1 - 1e-12)
-    still = ~after.moved
-    np.testing.assert_array_equal(after.T_object_scanner[still], views.T_object_scanner[after.origin[still]])
-    R = after.T_object_scanner[:, :3, :3]
-    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
-    assert len(np.unique(after.origin)) == len(after)
-
-
-def test_equal_input_gives_equal_views(case):
-    """Equal inputs give equal views to the bit."""
-    (_, one), (_, other) = _reduce(case), _reduce(case)
-    np.testing.assert_array_equal(one.T_object_scanner, other.T_object_scanner)
-
-
-def test_unreachable_poses_are_not_taken(case):
-    """With half of space reachable no view leaves it, and with nothing reachable no view moves."""
-    _, _, _, views = case
-    _, after = _reduce(case, are_reachable=lambda T: T[:, 0, 2, 3] > 0)
-    assert (after.T_object_scanner[after.moved, 2, 3] > 0).all()
-    _, after = _reduce(case, are_reachable=lambda T: np.zeros(len(T), dtype=bool))
-    assert not after.moved.any()
-    assert len(after) <= len(views)
-
-
-def test_views_with_a_shortfall_are_not_taken(case):
-    """With a permanent shortfall or without effort the views stay unchanged."""
-    _, _, _, views = case
-    for after in (_reduce(case, shortfall=lambda views: 0.5)[1], _reduce(case, effort=0)[1]):
-        assert len(after) == len(views)
-        np.testing.assert_array_equal(after.T_object_scanner, views.T_object_scanner)
 
 
 def _improve(case, weights, are_reachable=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
