@@ -57,6 +57,7 @@ REGISTRY = {
     "ur_soak": "moves over ur:// with faults and killed clients, compared with the executed commands",
     "kills": "client and controller killed at random moments, then resumed: lost and repeated moves",
     "edits": "random edits of plans and differences of runs: results and refusals, checked independently",
+    "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
     "locate": "placements found from one scan of a displaced part: error and reported undetermined motions",
     "hand_eye": "mounts from 12 scans of a sphere or a plane: error and reported precision; degenerate sets",
     "plan": "cell plan as a process: stages, memory and prediction error on every part",

@@ -18,7 +18,7 @@ _PartOfCommand = Annotated[
 
 
 @command(
-    "cell features bracket.stp --qif bracket.qif",
+    "cell features part.stp --qif part.qif",
     "cell features --scene my_cell.toml --out listed",
     note="The characteristics are those of [[feature]] in the scene and of the QIF file (docs/inspection.md).",
 )
@@ -76,8 +76,8 @@ def features(
 
 
 @command(
-    "cell inspect scan.ply --points-units mm --part bracket.stp --qif bracket.qif",
-    "cell inspect as_built.stl --points-units mm --scene my_cell.toml --search 30mm,8deg --out checked",
+    "cell inspect scan.ply --points-units mm --part part.stp --qif part.qif",
+    "cell inspect part.stl --points-units mm --scene my_cell.toml --search 30mm,8deg --out checked",
     "cell inspect sim_runs/trial/executions/0001",
     note="Exit code 3 if a characteristic fails. Points are in the frame of the part, or near it with --search.",
 )

@@ -217,17 +217,29 @@ def view(
             raise UsageError("--watch needs a scene file; give one: cell view my_cell.toml --watch")
         view_command.watch(what, out, terminal, open_page, time.sleep)
     elif what is not None and (what / "setups.json").is_file():
+        from cell.runs.next_commands import after_plan
+        from cell.runs.run import open_run
         from cell.runs.setups import SetupsRun
 
         if out is not None:
             raise UsageError(f"{what} holds several set-ups with a page each; omit --out")
         for folder in SetupsRun.opened(what).folders:
             open_page(view_command.make_page(folder, None, terminal))
-        Terminal(quiet_stdout=True).suggest(("cell", "scan", what))
+        exported = after_plan(open_run(folder), str(what))[-1]
+        Terminal(quiet_stdout=True).suggest(*_after_setups(what, exported))
     else:
         open_page(view_command.make_page(what, out, terminal))
         if following := _after_view(what):
             Terminal(quiet_stdout=True).suggest(*following)
+
+
+def _after_setups(folder: Path, otherwise: tuple[object, ...]) -> list[tuple[object, ...]]:
+    """Return the command that scans the set-ups that are not scanned yet, or another if all are."""
+    from cell.runs.setups import SetupsRun
+    from cell.scan.setups import complete_execution
+
+    is_scanned = all(complete_execution(run) is not None for run in SetupsRun.opened(folder).folders)
+    return [otherwise if is_scanned else ("cell", "scan", folder)]
 
 
 def _after_view(what: Path | None) -> Sequence[tuple[object, ...]]:
@@ -299,4 +311,5 @@ def export(
         print_json(outcome.as_json())
     else:
         sys.stdout.write("".join(f"{path}\n" for path in outcome.files))
-        Terminal(quiet_stdout=True).suggest(("cell", "scan" if has_setups else "replay", run))
+        shown = ("cell", "view", run)
+        Terminal(quiet_stdout=True).suggest(*(_after_setups(run, shown) if has_setups else [("cell", "replay", run)]))

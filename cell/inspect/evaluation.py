@@ -2,8 +2,9 @@
 
 A value is a function of components: offsets of an axis at its ends, distances of cells from a zone. Components are
 linear in small errors of the fitted shapes and the cells, datums included. Errors of points and of the views' poses are
-drawn and propagated (JCGM 101): the uncertainty includes correlations between features of one view. A zone has a bias,
-since noise widens it; U = sqrt(bias^2 + (2 s)^2) with the standard deviation s of the draws.
+drawn and propagated (JCGM 101): the uncertainty includes correlations between features of one view. U is twice the
+standard deviation of the draws. A zone or an offset, which cannot be negative, has at least the 95 % quantile of the
+value that the errors alone make.
 
 Conformity follows ISO 14253-1: pass if the value is inside the limits by more than U, fail if it is outside by more
 than U, else undecided.
@@ -26,6 +27,7 @@ from planner.values import Floats, Ints
 
 RULE = "ISO 14253-1, guard band U (k = 2)"
 DRAWS = 2000
+_LEVEL = 0.9545  # of two standard deviations of a normal distribution
 _DIFFERENCE = 1e-7  # of a component of a shape, for derivatives [m, rad]
 _SECTIONS = 5  # cross-sections of roundness and runout
 _SHARE = 0.05  # smallest measured share of a feature with a value
@@ -198,11 +200,11 @@ class Evaluation:
             start += errors.shape[1]
         if model.residual is not None:
             drawn = drawn @ model.residual.T
-        values = model.reduce(g + drawn)
-        # Noise widens the zone of a perfect element most; the measured zone contains its own noise already.
-        bias = float(model.reduce(drawn).mean() if model.cells else values.mean() - model.reduce(g))
-        spread = float(values.std())
-        return float(np.hypot(bias, 2 * spread))
+        spread = 2 * float(model.reduce(g + drawn).std())
+        if model.reduce is _first:
+            return spread
+        # Errors alone make a zone or an offset from zero; the measured one contains its own already.
+        return max(spread, float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
 
     def _drawn(self, key: tuple[str, int]) -> Floats:
         """Return drawn errors (DRAWS, C) of the cells of a patch; those of a view are common to all patches."""

@@ -20,10 +20,10 @@ from cell.inspect.results import InspectionResult, as_csv, inspection_result, ma
 from cell.part.workpiece import Workpiece
 from cell.runs.run import Run
 from cell.runs.schema import parsed
-from cell.scene.model import Scene
+from cell.scene.model import Region, Scene
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import RayCaster, Scanner
-from planner.registration.cloud import ScanCloud
+from planner.registration.cloud import PointCloud
 from planner.registration.registration import register
 from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
@@ -72,6 +72,32 @@ def plan_inspection(scene: Scene, part: Workpiece) -> InspectionPlan | None:
         edge_mm=settings.edge_mm,
         reach_mm=settings.reach_mm,
     )
+
+
+def with_feature_regions(scene: Scene, part: Workpiece) -> tuple[Scene, str]:
+    """Return the scene with a region for each feature, so that a plan measures `inspection.share` of each.
+
+    Returns:
+        The scene, and a note if its requests exclude regions.
+
+    Raises:
+        CellError: if features do not fit the part.
+    """
+    options = scene.plan
+    plan = plan_inspection(scene, part)
+    if plan is None or scene.inspection.share is None or part.reference.region is not None:
+        return scene, ""
+    has_request = options.max_views or options.overlap_mm2 or options.overlap_share or options.fill == "rays"
+    if scene.region or has_request or options.pose_sd_mm or options.pose_sd_deg:
+        reason = "the scene has regions" if scene.region else "they exclude overlap, pose errors, max_views and rays"
+        return scene, f"features have no coverage target of their own: {reason}"
+    taken: set[int] = set()
+    regions = []
+    for feature in plan.features:
+        if faces := tuple(face for face in feature.faces if face not in taken):
+            taken |= set(faces)
+            regions.append(Region(name=feature.name[:60].strip(), faces=faces, coverage=scene.inspection.share))
+    return scene.model_copy(update={"region": tuple(regions)}), ""
 
 
 def read_plan(run: Run) -> InspectionPlan | None:
@@ -171,7 +197,9 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
         return np.eye(4), f"points as given{datums}"
     if plan.alignment == "best-fit":
         chosen = points[np.linspace(0, len(points) - 1, min(len(points), _FIT_POINTS)).astype(np.int64)]
-        found = register([ScanCloud(chosen, np.zeros(3))], association.nearest).scans[0]
+        normals = association.nearest.normals(association.nearest.closest(chosen))
+        cloud = PointCloud(chosen, normals, np.zeros(len(chosen), dtype=np.int32))
+        found = register([cloud], association.nearest).scans[0]
         how = "robust weights" if found.is_corrected else f"not applied: {found.status.value}"
         return found.T_correction, f"best fit of all points, {how}{datums}"
     nominal = np.array([point for point, _, _ in plan.rps]) / 1000

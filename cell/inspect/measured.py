@@ -29,7 +29,7 @@ MAX_POINTS = 100_000
 _CELL_POINTS = 16  # points of a cell where a patch has few
 _OUTLIER = 6.0  # robust standard deviations beyond which a point is no part of the surface
 _EDGE_SHARE = 6.0  # the edge band is at most this part of a patch's width
-_SPARSE = 0.3  # of the median number of points: a cell with fewer is not used for form
+_SPARSE = 0.6  # of the median number of points: a cell with fewer is not used for form
 _EXACT = 1e-6  # m; points nearer than this to a shape are on it
 
 

@@ -203,7 +203,7 @@ def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
             "-" if each.value is None else f"{each.value:.4f} {each.unit}",
             "-" if each.expanded_uncertainty is None else f"{each.expanded_uncertainty:.4f} {each.unit}",
             "-" if ratio is None else f"{ratio:.3f}",
-            each.cause if each.cause and result.is_predicted else "kept" if result.is_predicted else each.verdict,
+            each.cause if each.cause and result.is_predicted else "met" if result.is_predicted else each.verdict,
         ]  # fmt: skip
         rows.append([*cells[:4], *cells[5:]] if result.is_predicted else cells)
     return heading, rows

@@ -24,10 +24,12 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.registration.cloud import ScanCloud
 from planner.registration.localisation import SearchRange, fit_surface
+from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
 _FINE_MESH = 20_000  # vertices of a mesh that was reconstructed from points; a coarser one is sampled
 _MESH_SAMPLES = 200_000
+_FAR = 10.0  # diagonals of the part: distance of an assumed scanner
 
 
 def inspect(
@@ -57,7 +59,7 @@ def inspect(
     with reporter.stage("read the points"):
         if run is None:
             measured, words = _file_points(source, options)
-            measured, aligned = _located(measured, reference, options)
+            measured, aligned = located(measured, reference, options)
     for sentence in (*plan.notes, *plan.unsupported):
         reporter.note(sentence)
     with reporter.stage("inspect"):
@@ -212,17 +214,28 @@ def _mesh_of(source: Path) -> TriangleMesh | None:
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 
-def _located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions) -> tuple[MeasuredPoints, str]:
-    """Return the points after a search for the part's place, and the search in words."""
+def located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions) -> tuple[MeasuredPoints, str]:
+    """Return points of a file after a search for the place of the part, and the search in words.
+
+    Raises:
+        FileError: if too few points lie near the part.
+    """
     if options.search_mm == 0 == options.search_deg:
         return measured, ""
     centre = (reference.vertices.min(axis=0) + reference.vertices.max(axis=0)) / 2
     search = SearchRange(options.search_mm / 1000, float(np.radians(options.search_deg)))
     rng = random_stream(0, Stream.LOCALISATION_STARTS)
-    cloud = ScanCloud(measured.points, centre)
+    # No scanner is known: points are taken as seen from outside, in the direction of their octant.
+    middle = measured.points.mean(axis=0)
+    octant = (measured.points > middle) @ np.array([1, 2, 4])
+    clouds = [
+        ScanCloud(own, middle + _FAR * reference.diagonal * np.where(np.array([k & 1, k & 2, k & 4]) > 0, 1.0, -1.0))
+        for k in range(8)
+        if len(own := measured.points[octant == k])
+    ]
     try:
-        fit = fit_surface([cloud], ClosestPointQuery(reference), centre, search, rng)
+        fit = fit_surface(clouds, ClosestPointQuery(reference), centre, search, rng)
     except PlannerError as error:
         raise FileError(str(error)) from error
     sd = float(measured.sigma[0])
-    return _single_view(cloud.transformed(fit.T).points, sd), f"located within {options.search_mm:g} mm"
+    return _single_view(transform_points(fit.T, measured.points), sd), f"located within {options.search_mm:g} mm"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from cell import scanners
 from cell.errors import FileError, UnreachableError, UsageError
-from cell.inspect.inspection import FEATURES
+from cell.inspect.inspection import FEATURES, with_feature_regions
 from cell.inspect.results import markdown
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
@@ -161,8 +161,13 @@ def open_run(
     with plots.plot_process() if with_plots else nullcontext(PlotQueue()) as queue:
         with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
+            scene, unmet = with_feature_regions(scene, part)
             part = with_regions(part, scene)
-        for sentence in (*(finding.sentence for finding in part.findings), *settle.notes(scene, part)):
+        for sentence in (
+            *(finding.sentence for finding in part.findings),
+            *settle.notes(scene, part),
+            *filter(None, [unmet]),
+        ):
             session.note(sentence)
         settled = settle.settle(scene, part)
         if hasattr(settled.scanner, "T_view_scanner"):

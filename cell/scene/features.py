@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from cell.scene.fields import NotNegative, Positive, Table, Triple, existing_file
+from cell.scene.fields import NotNegative, Positive, Share, Table, Triple, existing_file
 from cell.scene.options import Option
 
 FeatureKind = Literal["plane", "cylinder", "cone", "sphere", "circle", "width", "surface"]
@@ -83,6 +83,7 @@ class Inspection(Table):
         Positive | None,
         Option("Largest expanded uncertainty of a characteristic as a share of its tolerance.", "Inspection"),
     ] = 0.1
+    share: Share | None = None
     alignment: Literal["best-fit", "rps", "none"] = "best-fit"
     rps: Annotated[tuple[RpsTable, ...], Field(strict=False)] = ()
     edge_mm: NotNegative = 1.0

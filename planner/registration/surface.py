@@ -14,8 +14,8 @@ Deviation: the deviation of a point of a mesh is its distance to the closest poi
 the part. Rms, mean and the 95 % quantile are over area-weighted samples of the mesh, so that many small faces count no
 more than their area; the largest deviation is over samples and vertices. Faces that close holes have separate numbers.
 A surface from points rounds sharp edges of the part, whatever the scanner's error. So the numbers leave out a band
-about these edges whose width follows from the spacing of the points; the numbers with the band are stated beside them. A
-point is in the band if its closest point of the part is, because a surface also runs on beyond an edge.
+about these edges whose width follows from the spacing of the points; the numbers with the band are stated beside them.
+A point is in the band if its closest point of the part is, because a surface also runs on beyond an edge.
 Missing surface does not show here: that is coverage. Object frame, metres.
 """
 

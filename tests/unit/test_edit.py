@@ -122,18 +122,20 @@ def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path)
 
 
 def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
-    """Candidates keep their numbers through repeated edits. Repair adds no more views than were dropped."""
+    """Candidates keep their numbers through repeated edits. A later repair does not bring the dropped view back."""
     run = open_run(planned)
     without = make_edit(run, drop=[2], out=tmp_path / "without")
     assert without.coverage.visible < run.coverage.visible
     assert without.bound == 1
     back = make_edit(without, add_candidate=int(run.candidate[1]), out=tmp_path / "back")
     assert sorted(back.candidate) == sorted(run.candidate)
-    assert back.coverage.visible == pytest.approx(run.coverage.visible, abs=1e-6)
+    # Another order has other configurations, whose rounded set-points move samples at the limits in or out.
+    assert back.coverage.visible == pytest.approx(run.coverage.visible, abs=5e-4)
     repaired = make_edit(without, repair=True, out=tmp_path / "repaired")
-    assert len(repaired.candidate) == len(run.candidate)
-    assert repaired.coverage.planned_on_samples == pytest.approx(run.coverage.planned_on_samples)
-    assert set(without.candidate) <= set(repaired.candidate)
+    assert run.candidate[1] not in repaired.candidate
+    assert set(without.candidate) < set(repaired.candidate)
+    assert without.coverage.planned_on_samples < repaired.coverage.planned_on_samples
+    assert repaired.coverage.planned_on_samples <= run.coverage.planned_on_samples + 1e-9
 
 
 def test_the_neighbourhood_of_a_view_is_bounded_by_distance_and_viewing_angle() -> None:

@@ -12,7 +12,7 @@ from cell import api, keywords
 from cell.cli import app
 from cell.explore.options import SCAN_OPTIONS, ExploreOptions
 from cell.export.options import ExportOptions
-from cell.metrology.options import HandEyeOptions, LocateOptions
+from cell.metrology.options import HandEyeOptions, InspectOptions, LocateOptions
 from cell.plan.edit_options import Edit
 from cell.plan.setup_options import SetupOptions
 from cell.scan.options import ScanOptions
@@ -30,6 +30,8 @@ TABLES: dict[type, Mapping[str, OptionSpec]] = {
     keywords.ScanKeywords: option_specs(ScanOptions),
     keywords.ExploreKeywords: {**option_specs(ScanOptions, *SCAN_OPTIONS), **_PLAN, **option_specs(ExploreOptions)},
     keywords.LocateKeywords: option_specs(LocateOptions),
+    keywords.FeaturesKeywords: option_specs(Scene, "units", "qif"),
+    keywords.InspectKeywords: {**option_specs(Scene, "units", "qif"), **option_specs(InspectOptions)},
     keywords.HandEyeKeywords: option_specs(HandEyeOptions),
     keywords.ExportKeywords: option_specs(ExportOptions),
     keywords.ReplayKeywords: option_specs(ReplayOptions),

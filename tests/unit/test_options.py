@@ -99,7 +99,7 @@ def test_the_help_imports_nothing_heavy() -> None:
 def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The options of each example exist, their texts are valid, and a named scene is valid."""
     monkeypatch.chdir(tmp_path)
-    for name in ("part.stl", "my_cell.toml"):
+    for name in ("part.stl", "part.stp", "part.qif", "my_cell.toml"):
         (tmp_path / name).touch()
     function, arguments = _parsed(line)
     if {"given", "scene"} <= set(inspect.signature(function).parameters):

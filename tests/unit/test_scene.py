@@ -10,6 +10,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cell.errors import SceneError
 from cell.files import model_file
+from cell.scene.features import CharacteristicTable, FeatureTable
 from cell.scene.file import load_scene
 from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, PlanSettings, Region, Scene, Setup, pose
 from cell.scene.settle import with_device
@@ -47,6 +48,7 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
         "fixtures": [BoxFixture, CylinderFixture, MeshFixture],
         "region": [Region],
         "setup": [Setup],
+        "feature": [FeatureTable, CharacteristicTable],
     }
     for name, classes in tables.items():
         lines = [line.lstrip("# ") for line in documented[name].splitlines()]
@@ -55,7 +57,7 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
                 continue
             line = next((line for line in lines if line.startswith(f"{key} =")), None)
             assert line is not None, f"{name}.{key}"
-            if field.default is not None and name not in ("fixtures", "region", "setup"):
+            if field.default is not None and name not in ("fixtures", "region", "setup", "feature"):
                 stated = tomllib.loads(line)[key]
                 assert TypeAdapter(field.annotation).validate_python(stated) == field.default, f"{name}.{key}"
 

@@ -1,0 +1,399 @@
+"""Features, characteristics, alignment, values, uncertainty and verdicts, on a block of 60 x 40 x 30 with a bore."""
+
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from cell.errors import FileError, SceneError
+from cell.inspect.alignment import datum_frame, fit_reference_points, moved
+from cell.inspect.evaluation import Verdict, verdict_of
+from cell.inspect.features import InspectionPlan, resolve_features
+from cell.inspect.inspection import Inspected, align, inspect_points
+from cell.inspect.measured import Association, MeasuredPoints, measure_features
+from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.qif import read_qif
+from cell.inspect.qif_results import qif_results
+from cell.inspect.results import as_csv
+from cell.metrology.inspect import located
+from cell.metrology.options import InspectOptions
+from cell.part.workpiece import Workpiece, from_trusted_mesh, load
+from cell.scanners.laser_area import LaserArea
+from cell.scene.features import FeatureTable
+from cell.world.embree import EmbreeRayCaster
+from planner.fitting.shapes import Shape, ShapeKind
+from planner.geometry.sampling import draw_samples
+from planner.registration.rigid import motion_from_vector, transform_points
+from planner.values import Floats
+from tests.qif_files import NAMESPACE, bored_block_qif, characteristic
+from tests.step_files import bored_block, needs_cascadio
+
+pytestmark = needs_cascadio
+
+ZONE = {"tolerance_mm": 0.5}
+ABC = {"datums": ("A", "B", "C")}
+LIMITS = {"lower": -0.2, "upper": 0.2}
+TABLES = [
+    {"name": "top", "faces": (6,), "datum": "A", "characteristic": [{"kind": "form", **ZONE}]},
+    {"name": "front", "faces": (3,), "datum": "B",
+     "characteristic": [{"kind": "perpendicularity", "datums": ("A",), **ZONE}]},
+    {"name": "left", "faces": (1,), "datum": "C"},
+    {"name": "right", "faces": (2,), "characteristic": [
+        {"kind": "distance", "to": "left", **LIMITS}, {"kind": "profile", **ABC, **ZONE}]},
+    {"name": "bottom", "faces": (5,), "characteristic": [{"kind": "parallelism", "datums": ("A",), **ZONE}]},
+    {"name": "back", "faces": (4,), "characteristic": [{"kind": "angle", "to": "top", **LIMITS}]},
+    {"name": "bore", "faces": (7,), "characteristic": [
+        {"kind": "size", **LIMITS}, {"kind": "roundness", **ZONE}, {"kind": "position", **ABC, **ZONE},
+        {"kind": "perpendicularity", "datums": ("A",), **ZONE},
+        {"kind": "size", "name": "inscribed", "criterion": "inscribed", **LIMITS}]},
+    {"name": "slot", "faces": (1, 2), "kind": "width", "characteristic": [{"kind": "size", **LIMITS}]},
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Workpiece:
+    """Return the block."""
+    path = tmp_path_factory.mktemp("step") / "block.step"
+    path.write_text(bored_block())
+    return load(path)
+
+
+def plan_of(part: Workpiece, tables: list[dict[str, object]] | None = None, **settings: object) -> InspectionPlan:
+    """Return the plan of an inspection."""
+    features, found = resolve_features(part, [FeatureTable.model_validate(each) for each in tables or TABLES])
+    values = {"source": "test", "features": features, "characteristics": found, "unsupported": (), "notes": (),
+              "u_over_t": 0.1, "alignment": "none", "rps": (), "edge_mm": 1.0, "reach_mm": 2.0}  # fmt: skip
+    return InspectionPlan.model_validate(values | settings)
+
+
+def points_on(part: Workpiece, count: int = 40_000, sigma: float = 0.0, seed: int = 0) -> Floats:
+    """Return points (N, 3) on the part's surface with noise along the normals [m]."""
+    rng = np.random.default_rng(seed)
+    samples = draw_samples(part.reference, part.reference, count, rng)
+    association = Association(part.reference, plan_of(part))
+    exact = association.without_facets(samples.points)
+    return exact + sigma * rng.standard_normal((count, 1)) * samples.normals
+
+
+def single_view(points: Floats, sigma: float = 0.0) -> MeasuredPoints:
+    """Return points of one view with an exact pose."""
+    count = len(points)
+    return MeasuredPoints(points, np.full(count, sigma), np.zeros(count, np.int64), np.zeros((1, 3)), np.zeros((1, 2)))
+
+
+def inspected(part: Workpiece, points: Floats, plan: InspectionPlan | None = None, sigma: float = 0.0) -> Inspected:
+    """Return the result of an inspection of points."""
+    return inspect_points(
+        plan or plan_of(part), part.reference, single_view(points, sigma), part="block", source="points",
+        is_simulated=True,
+    )  # fmt: skip
+
+
+def values_of(done: Inspected) -> dict[str, float]:
+    """Return the values of the characteristics by name."""
+    return {each.name: float("nan") if each.value is None else each.value for each in done.result.characteristics}
+
+
+class TestFeatures:
+    def test_shapes_are_those_of_the_faces(self, block: Workpiece) -> None:
+        plan = plan_of(block)
+        bore, top = plan.feature("bore").patches[0], plan.datum("A").patches[0]
+        assert (bore.kind, bore.radius_mm) == ("cylinder", pytest.approx(8))
+        assert bore.point_mm == pytest.approx((30, 20, 15), abs=0.01)
+        assert top.axis == pytest.approx((0, 0, 1))
+        assert [each.kind for each in plan.feature("slot").patches] == ["plane", "plane"]
+        assert [each.nominal for each in plan.characteristics if each.kind == "distance"] == [pytest.approx(60)]
+
+    def test_a_mesh_has_no_features(self, block: Workpiece) -> None:
+        with pytest.raises(SceneError, match="is a mesh"):
+            plan_of(from_trusted_mesh("mesh", block.reference))
+
+    @pytest.mark.parametrize(
+        ("table", "message"),
+        [
+            ({"name": "a", "faces": (99,)}, "names face 99"),
+            ({"name": "a", "faces": (6,), "kind": "cylinder"}, "needs the faces of one cylinder"),
+            ({"name": "a", "faces": (6,), "characteristic": [{"kind": "size"}]}, "not defined for a plane"),
+        ],
+    )
+    def test_a_feature_that_does_not_fit_its_faces_is_refused(
+        self, block: Workpiece, table: dict[str, object], message: str
+    ) -> None:
+        with pytest.raises(SceneError, match=message):
+            plan_of(block, [table])
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            {"kind": "size", "tolerance_mm": 0.1},
+            {"kind": "form", "lower": -0.1},
+            {"kind": "position", "datums": (), "tolerance_mm": -1.0},
+            {"kind": "perpendicularity", "tolerance_mm": 0.1},
+            {"kind": "distance"},
+        ],
+    )
+    def test_contradictions_in_a_characteristic_are_refused(self, content: dict[str, object]) -> None:
+        with pytest.raises(ValidationError):
+            FeatureTable.model_validate({"name": "a", "faces": (1,), "characteristic": [content]})
+
+
+class TestQif:
+    def read(self, block: Workpiece, folder: Path, text: str) -> tuple[InspectionPlan, list[str]]:
+        (folder / "block.qif").write_text(text)
+        content = read_qif(folder / "block.qif", block)
+        features, found = resolve_features(block, content.features, content.unsupported)
+        assert len(found) + sum("(" in each for each in content.unsupported) == content.n_characteristics
+        values = plan_of(block).model_dump() | {"features": features, "characteristics": found}
+        return InspectionPlan.model_validate(values), content.unsupported
+
+    def test_faces_limits_units_and_datums_are_read(self, block: Workpiece, tmp_path: Path) -> None:
+        plan, unsupported = self.read(block, tmp_path, bored_block_qif())
+        assert unsupported == []
+        by_name = {each.name: each for each in plan.characteristics}
+        assert plan.feature(by_name["Diameter 42"].feature).faces == (7,)
+        assert plan.datum("A").faces == (6,)
+        assert by_name["Flatness 41"].upper == pytest.approx(0.3)
+        size = by_name["Diameter 42"]
+        assert (size.nominal, size.lower, size.upper) == pytest.approx((16, 15.9, 16.2))
+        assert by_name["Position 43"].datums == ("A",)
+        assert "bonus" in by_name["Position 43"].note
+
+    def test_what_is_not_supported_is_named(self, block: Workpiece, tmp_path: Path) -> None:
+        extra = characteristic("Straightness", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
+        _, unsupported = self.read(block, tmp_path, bored_block_qif(extra=extra))
+        assert any("Straightness 51" in each and "not supported" in each for each in unsupported)
+        assert any("Flatness 52" in each and "1999" in each for each in unsupported)
+
+    def test_faces_of_another_part_are_named(self, block: Workpiece, tmp_path: Path) -> None:
+        """Read in inches the corners are 25.4 times as far away, and no face of the part is there."""
+        plan, unsupported = self.read(block, tmp_path, bored_block_qif("in"))
+        assert plan.characteristics == ()
+        assert sum("no face of the part" in each for each in unsupported) >= 3
+
+    @pytest.mark.parametrize("text", ["<a/>", "no xml", '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'])
+    def test_other_files_are_refused(self, block: Workpiece, tmp_path: Path, text: str) -> None:
+        (tmp_path / "bad.qif").write_text(text)
+        with pytest.raises(FileError):
+            read_qif(tmp_path / "bad.qif", block)
+
+    def test_results_refer_to_the_characteristics_of_the_file(self, block: Workpiece, tmp_path: Path) -> None:
+        plan, _ = self.read(block, tmp_path, bored_block_qif())
+        done = inspected(block, points_on(block, sigma=1e-5), plan)
+        root = ElementTree.fromstring(qif_results(bored_block_qif().encode(), done.result))
+        n = f"{{{NAMESPACE}}}"
+        item = root.find(f".//{n}DiameterCharacteristicItem")
+        measured = root.find(f".//{n}DiameterCharacteristicMeasurement")
+        assert item is not None
+        assert measured is not None
+        assert item.findtext(f"{n}CharacteristicNominalId") == "42"
+        assert measured.findtext(f"{n}CharacteristicItemId") == item.get("id")
+        assert float(measured.findtext(f"{n}Value") or 0) == pytest.approx(16, abs=0.01)
+        ids = [each.get("id") for each in root.iter() if each.get("id")]
+        assert len(ids) == len(set(ids))
+        assert int(root.get("idMax") or 0) == max(int(each or 0) for each in ids)
+
+
+class TestAlignment:
+    NOMINAL = (
+        Shape(ShapeKind.PLANE, np.array([0.03, 0.02, 0.03]), np.array([0, 0, 1.0])),
+        Shape(ShapeKind.PLANE, np.array([0.03, 0.0, 0.015]), np.array([0, -1.0, 0])),
+        Shape(ShapeKind.PLANE, np.array([0.0, 0.02, 0.015]), np.array([-1.0, 0, 0])),
+    )
+
+    def test_three_planes_determine_the_motion(self) -> None:
+        T = motion_from_vector(np.array([0.003, -0.002, 0.001, 0.02, -0.03, 0.05]), np.zeros(3))
+        measured = [moved(shape, np.linalg.inv(T)) for shape in self.NOMINAL]
+        assert np.abs(datum_frame(self.NOMINAL, measured, 0.05) - T).max() < 1e-9
+
+    def test_the_first_datum_takes_precedence(self) -> None:
+        """The second plane leans by 1 deg; the first remains exactly in place, and the second only in its middle."""
+        tilt = motion_from_vector(np.array([0, 0, 0, np.radians(1), 0, 0]), self.NOMINAL[1].point)
+        measured = [self.NOMINAL[0], moved(self.NOMINAL[1], tilt), self.NOMINAL[2]]
+        T = datum_frame(self.NOMINAL, measured, 0.05)
+        assert np.abs(T - np.eye(4)).max() < 1e-9
+        other = datum_frame(self.NOMINAL[1::-1], measured[1::-1], 0.05)
+        assert np.degrees(np.arccos(other[1, 1])) == pytest.approx(1, abs=1e-6)
+
+    def test_plane_and_two_bores(self) -> None:
+        axis = np.array([0, 0, 1.0])
+        nominal = [
+            self.NOMINAL[0],
+            *(Shape(ShapeKind.CYLINDER, np.array([x, 0.02, 0.015]), axis, 0.004) for x in (0.01, 0.05)),
+        ]
+        T = motion_from_vector(np.array([0.001, 0.002, -0.001, 0.01, 0.02, -0.04]), np.zeros(3))
+        measured = [moved(shape, np.linalg.inv(T)) for shape in nominal]
+        assert np.abs(datum_frame(nominal, measured, 0.05) - T).max() < 1e-9
+
+    def test_reference_points_are_held_along_their_directions(self) -> None:
+        rng = np.random.default_rng(0)
+        directions = np.repeat(np.eye(3), (3, 2, 1), axis=0)
+        nominal = rng.uniform(0, 0.05, (6, 3))
+        T = motion_from_vector(np.array([0.0005, -0.0003, 0.0002, 0.002, -0.001, 0.003]), np.zeros(3))
+        back = np.linalg.inv(T)
+        measured, normals = transform_points(back, nominal), directions @ back[:3, :3].T
+        found, left = fit_reference_points(nominal, directions, np.ones(6), measured, normals)
+        assert np.abs(left).max() < 1e-9
+        assert np.abs(found - T).max() < 1e-6
+
+    def test_a_cloud_is_located(self, block: Workpiece) -> None:
+        """Points 9 mm and 4 deg off the part are moved onto it."""
+        points = points_on(block, 10_000)
+        T = motion_from_vector(np.array([0.006, -0.004, 0.005, 0.05, -0.03, 0.03]), block.centre)
+        options = InspectOptions(search_mm=15, search_deg=6)
+        found, words = located(single_view(transform_points(T, points)), block.reference, options)
+        assert np.abs(found.points - points).max() < 1e-4
+        assert "located" in words
+
+    def test_the_best_fit_ignores_a_larger_bore(self, block: Workpiece) -> None:
+        points = points_on(block)
+        radial = points[:, :2] - [0.03, 0.02]
+        distance = np.linalg.norm(radial, axis=1)
+        bore = np.abs(distance - 0.008) < 1e-6
+        points[bore, :2] += 0.0002 * radial[bore] / distance[bore, None]
+        plan = plan_of(block, alignment="best-fit")
+        assert values_of(inspected(block, points, plan))["bore: size"] == pytest.approx(16.4, abs=1e-3)
+        T, words = align(plan, Association(block.reference, plan), points)
+        assert np.abs(T - np.eye(4)).max() < 1e-6
+        assert "best fit" in words
+
+
+class TestValues:
+    def test_a_nominal_part_has_nominal_values(self, block: Workpiece) -> None:
+        for each in inspected(block, points_on(block)).result.characteristics:
+            assert each.verdict == "pass", each.name
+            assert each.value == pytest.approx(each.nominal, abs=2e-4), each.name
+
+    def test_values_follow_as_built_errors(self, block: Workpiece) -> None:
+        """The bore is 0.1 larger in diameter and moved by 0.3, the back is tilted, the right is 0.15 farther away."""
+        points = points_on(block)
+        made, radial = points.copy(), points[:, :2] - [0.03, 0.02]
+        distance = np.linalg.norm(radial, axis=1)
+        bore = np.abs(distance - 0.008) < 1e-6
+        made[bore, :2] += 0.00005 * radial[bore] / distance[bore, None] + [0.0003, 0]
+        right, back = points[:, 0] > 0.0599999, points[:, 1] > 0.0399999
+        made[right, 0] += 0.00015
+        made[back, 1] += np.tan(np.radians(0.25)) * (points[back, 2] - 0.015)
+        found = values_of(inspected(block, made))
+        assert found["bore: size"] == pytest.approx(16.1, abs=1e-3)
+        assert found["inscribed"] == pytest.approx(16.1, abs=2e-3)
+        assert found["bore: position"] == pytest.approx(0.6, abs=3e-3)
+        assert found["right: distance"] == pytest.approx(60.15, abs=1e-3)
+        assert found["slot: size"] == pytest.approx(60.15, abs=1e-3)
+        assert found["right: profile"] == pytest.approx(0.3, abs=2e-3)
+        assert abs(found["back: angle"] - 90) == pytest.approx(0.25, abs=2e-3)
+
+    def test_a_lifted_part_has_the_same_values_by_its_datums(self, block: Workpiece) -> None:
+        T = motion_from_vector(np.array([3e-4, -2e-4, 1e-4, 1e-3, -2e-3, 1e-3]), block.centre)
+        points = points_on(block)
+        here, there = (values_of(inspected(block, each)) for each in (points, transform_points(T, points)))
+        assert there == pytest.approx(here, abs=2e-3)
+
+    def test_uncertainty_covers_the_errors_of_repeated_scans(self, block: Workpiece) -> None:
+        sigma, within, total = 2e-5, 0, 0
+        for seed in range(6):
+            done = inspected(block, points_on(block, 8000, sigma, seed), sigma=sigma)
+            for each in done.result.characteristics:
+                assert each.value is not None
+                assert each.expanded_uncertainty is not None
+                within += abs(each.value - each.nominal) <= 1.2 * each.expanded_uncertainty
+                total += 1
+        assert within >= 0.9 * total
+
+    def test_missing_points_are_the_cause_of_a_missing_value(self, block: Workpiece) -> None:
+        points = points_on(block)
+        away = np.linalg.norm(points[:, :2] - [0.03, 0.02], axis=1) > 0.0085
+        found = {each.name: each for each in inspected(block, points[away]).result.characteristics}
+        assert found["bore: size"].verdict == "not measured"
+        assert "no point lies on it" in found["bore: size"].cause
+        assert found["top: form"].verdict == "pass"
+
+    def test_points_of_another_surface_are_outliers(self, block: Workpiece) -> None:
+        points = points_on(block, sigma=1e-5)
+        spray = np.array([0.03, 0.02, 0]) + np.array([[0.0075, 0, z] for z in np.linspace(0.005, 0.025, 40)])
+        found = inspected(block, np.concatenate([points, spray]), sigma=1e-5)
+        element = next(each for each in found.result.features if each.feature == "bore")
+        assert element.n_outliers >= 40
+        assert element.diameter_mm == pytest.approx(16, abs=2e-3)
+
+    @pytest.mark.parametrize(
+        ("value", "verdict"),
+        [(0.0, "pass"), (0.79, "pass"), (0.95, "undecided"), (1.05, "undecided"), (1.21, "fail"), (-1.21, "fail")],
+    )
+    def test_verdicts_have_guard_bands(self, value: float, verdict: str) -> None:
+        assert verdict_of(value, 0.2, -1.0, 1.0) == verdict
+        assert verdict_of(value, 0.2, None, None) is Verdict.NO_TOLERANCE
+
+
+class TestResults:
+    def test_the_table_has_one_row_for_each_characteristic(self, block: Workpiece) -> None:
+        done = inspected(block, points_on(block, 5000, 1e-5))
+        lines = as_csv(done.result).splitlines()
+        assert len(lines) == 1 + len(done.plan.characteristics)
+        assert all(line.endswith(",yes") for line in lines[1:])
+        assert "Simulated points" in "\n".join(done.section())
+
+    def test_the_page_and_the_files_are_equal_in_every_run(self, block: Workpiece) -> None:
+        points = points_on(block, 5000, 1e-5)
+        first, second = dict[str, bytes](), dict[str, bytes]()
+        for files in (first, second):
+            write: Callable[[str, bytes], None] = files.__setitem__
+            inspected(block, points).write(write, None)
+        assert sorted(first) == ["characteristics.csv", "features.html", "features.json"]
+        assert first == second
+        assert b"bore: position" in first["features.html"]
+
+
+class TestPrediction:
+    def views(self) -> Floats:
+        """Return views (n, 4, 4) of the block from above, from the sides and from below."""
+        found = []
+        middle = np.array([0.03, 0.02, 0.015])
+        for at in ((0.1, 0, 1), (1, 0, 0.4), (-1, 0, 0.4), (0, 1, 0.4), (0, -1, 0.4), (0.1, 0.1, -1)):
+            position = middle + 0.2 * np.array(at) / np.linalg.norm(at)
+            z = (middle - position) / np.linalg.norm(middle - position)
+            x = np.cross([0.0, 1.0, 0.1], z)
+            x /= np.linalg.norm(x)
+            T = np.eye(4)
+            T[:3] = np.column_stack([x, np.cross(z, x), z, position])
+            found.append(T)
+        return np.array(found)
+
+    def predict(self, block: Workpiece, views: Floats, pose: float = 0.0) -> dict[str, tuple[float | None, str]]:
+        plan = plan_of(block)
+        association = Association(block.reference, plan)
+        caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
+        scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
+        features = predict_features(association, views[:, None], scanner, [caster])
+        sd = np.tile([pose, 0.0], (len(views), 1))
+        found = predicted_measurements(plan, association, features, sd)
+        return {each.characteristic.name: (each.expanded_uncertainty, each.cause) for each in found}
+
+    def test_pose_errors_and_fewer_views_raise_the_uncertainty(self, block: Workpiece) -> None:
+        views = self.views()
+        exact, moved_poses = self.predict(block, views), self.predict(block, views, 2e-5)
+        size, worse = exact["right: distance"][0], moved_poses["right: distance"][0]
+        assert size is not None
+        assert worse is not None
+        assert worse > 5 * size
+        assert worse == pytest.approx(2e-2 * 2 * np.sqrt(2), rel=0.15)  # two faces, each by about one view
+
+    def test_a_feature_that_no_view_measures_is_named(self, block: Workpiece) -> None:
+        _, cause = self.predict(block, self.views()[:5])["bottom: parallelism"]
+        assert "no view of the plan measures it" in cause
+
+    def test_predicted_points_are_those_of_a_scan(self, block: Workpiece) -> None:
+        from cell.world import virtual_scan
+
+        views, plan = self.views(), plan_of(block)
+        association = Association(block.reference, plan)
+        caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
+        scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
+        predicted = predict_features(association, views[:, None], scanner, [caster])
+        scans = [virtual_scan.scan(scanner, T, caster, block.reference).points for T in views]
+        measured = measure_features(association, single_view(np.concatenate(scans)))
+        for name in ("top", "front", "right", "bore"):
+            count = predicted[name].patches[0].n_points
+            assert count == pytest.approx(measured[name].patches[0].n_points, rel=0.1), name
