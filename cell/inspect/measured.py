@@ -29,7 +29,8 @@ MAX_POINTS = 100_000
 _CELL_POINTS = 16  # points of a cell where a patch has few
 _OUTLIER = 6.0  # robust standard deviations beyond which a point is no part of the surface
 _EDGE_SHARE = 6.0  # the edge band is at most this part of a patch's width
-_SPARSE = 0.6  # of the median number of points: a cell with fewer is not used for form
+SPARSE = 0.6
+"""Share of the median number of points below which a cell is not used for form."""
 _EXACT = 1e-6  # m; points nearer than this to a shape are on it
 
 
@@ -335,7 +336,7 @@ def _cells(
         noise,
         lever / count[:, None, None],
         np.stack([total(row) for row in gain]),
-        count >= _SPARSE * np.median(count),
+        count >= SPARSE * np.median(count),
     )
 
 

@@ -14,7 +14,15 @@ from scipy.spatial import cKDTree
 
 from cell.inspect.evaluation import Evaluation, Measurement, Verdict
 from cell.inspect.features import Feature, InspectionPlan, Patch, PatchSurface
-from cell.inspect.measured import Association, Cells, MeasuredFeature, MeasuredPatch, cells_of_points, fit_patch
+from cell.inspect.measured import (
+    SPARSE,
+    Association,
+    Cells,
+    MeasuredFeature,
+    MeasuredPatch,
+    cells_of_points,
+    fit_patch,
+)
 from planner.fitting.shapes import N_COMPONENTS, Shape, ShapeKind
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
@@ -128,7 +136,7 @@ def _predict_patch(
         fitted = Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
     lever = np.einsum("nv,nvk->nvk", count / total[:, None], _levers(points, normals, origins))
     noise = np.sqrt((count * variance).sum(axis=1) / area) / total
-    cells = Cells(points, normals, noise, lever, gain, np.ones(len(points), dtype=np.bool_))
+    cells = Cells(points, normals, noise, lever, gain, total >= SPARSE * np.median(total))
     sigma = float(np.sqrt((count * variance).sum() / count.sum()))
     return MeasuredPatch(patch, fitted, cells, corners, n_points, 0, share, sigma, doubts, missed)
 
