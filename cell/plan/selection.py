@@ -517,7 +517,12 @@ def select_with_row_generation(
     Returns:
         The problem with its rows, and the views. They fall short only if fresh samples show nothing more.
     """
-    if not (problem.request.is_evaluated and problem.request.plan.fill == "aimed"):
+    if problem.request.plan.fill != "aimed":
+        return problem, select_views(problem, rng)
+    if problem.request.is_complete:
+        problem, start = _with_rows_for_all(problem, surface, rng, fresh)
+        return problem, start if is_short else select_views(problem, rng, start=start)
+    if not problem.request.is_evaluated:
         return problem, select_views(problem, rng)
     requested, spread = problem.request.targets, problem.prediction.samples
     selection = None
@@ -537,7 +542,49 @@ def select_with_row_generation(
         problem = replace(problem, M=append_rows(problem.M, rows, spread))
     if is_short and selection is not None:
         return problem, selection
-    return problem, select_views(problem, rng, start=selection)
+    return problem, _with_most_coverage(problem, select_views(problem, rng, start=selection), rng)
+
+
+def _with_rows_for_all(
+    problem: SelectionProblem, surface: PartSurface, rng: np.random.Generator, fresh: np.random.Generator
+) -> tuple[SelectionProblem, Selection]:
+    """Add rows until views that measure all of them measure nearly all coverable held-out samples.
+
+    The few samples of a coarse matrix need fewer views than a coverage just below 1 of the held-out samples.
+    """
+    known, T = problem.prediction, problem.candidates.T_object_scanner
+    for left in reversed(range(ROUNDS + 1)):
+        selection = select_views(problem, rng, search=Search.PROBE)
+        chosen = T[selection.cover.views]
+        if not left or known.share_of_coverable(chosen) >= ALL:
+            break
+        pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
+        added = _needed_rows(problem, selection, pool)
+        if not added.any():
+            break
+        rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, added))
+        problem = replace(problem, M=append_rows(problem.M, rows, known.samples))
+    return problem, selection
+
+
+def _with_most_coverage(problem: SelectionProblem, fewest: Selection, rng: np.random.Generator) -> Selection:
+    """Return as many views with the most coverage, so that a lower target never gives more than a higher one."""
+    request, cover_ = problem.request, fewest.cover
+    if not request.is_probed or request.regions is not None or len(cover_.views) < 2:
+        return fewest
+    most = select_views(_for_most_coverage(problem, len(cover_.views)), rng.spawn(1)[0], start=fewest).cover
+    share = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[most.views])
+    if len(most.views) != len(cover_.views) or share <= fewest.shares[0] or most.covered_area < cover_.covered_area:
+        return fewest
+    cover_ = replace(cover_, views=most.views, marginal_area=most.marginal_area, covered_area=most.covered_area)
+    return replace(fewest, cover=cover_, shares=np.array([share]))
+
+
+def _for_most_coverage(problem: SelectionProblem, max_views: int) -> SelectionProblem:
+    """Return the problem for the most coverage with at most a number of views."""
+    plan = problem.request.plan.model_copy(update={"max_views": max_views})
+    effort = replace(problem.request.effort, constrained_work=problem.request.effort.selection_work)
+    return replace(problem, request=replace(problem.request, plan=plan, effort=effort))
 
 
 def select_thoroughly(problem: SelectionProblem, start: Selection, rng: np.random.Generator) -> Selection:

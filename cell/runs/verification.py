@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from cell.errors import FileError
 from cell.robot import model as robot
@@ -278,9 +278,20 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
 
 
 def _is_moved(one: Floats, two: Floats) -> bool:
-    """Return whether two sets of points (N, 3) [m] differ, in the frame of the same body."""
-    off = [np.max(cKDTree(a).query(b)[0]) for a, b in ((one, two), (two, one))]
-    return bool(max(off) > _MESH_TOLERANCE)
+    """Return whether the hulls of two sets of points (N, 3) [m] differ, in the frame of the same body."""
+    return _exceeds(one, two) or _exceeds(two, one)
+
+
+def _exceeds(points: Floats, hull: Floats) -> bool:
+    """Return whether points lie outside the hull of others.
+
+    Points on edges and faces of a hull may be among its corners or not, so only points without an equal one are tested.
+    """
+    points = points[cKDTree(hull).query(points)[0] > _MESH_TOLERANCE]
+    if not len(points):
+        return False
+    planes = ConvexHull(hull).equations
+    return bool((points @ planes[:, :3].T + planes[:, 3]).max() > _MESH_TOLERANCE)
 
 
 _JSON_TOLERANCE = 1e-7

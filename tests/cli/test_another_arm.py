@@ -109,7 +109,7 @@ def test_the_dynamic_arm_needs_drives_and_masses(other: Path) -> None:
         geom.density, geom.mass = 0.0, 0.0
     without = robot.spec()
     without.delete(without.numeric("axis_torque_limit_Nm"))
-    for spec, words in ((bare, "mass and inertia"), (without, "no <numeric> named axis_torque_limit_Nm")):
+    for spec, words in ((bare, "mass or inertia"), (without, "no <numeric> named axis_torque_limit_Nm")):
         with pytest.raises(FileError, match=f"{words}.*use the ideal arm: sim://"):
             MujocoPlant(np.zeros(6), spec=spec)
 

@@ -141,7 +141,8 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
     **{
         f"{name} with coordinates of 1e300": (name, content, "has a coordinate of 1e+300")
         for name, content in (
-            ("x.stl", b"solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1e300 0 0\nvertex 0 1e300 0\nendfacet\n"),
+            ("x.stl", b"solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1e300 0 0\nvertex 0 1e300 0\nendfacet\n"
+             b"endsolid\n"),
             ("x.obj", b"v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nf 1 2 3\n"),
             ("x.off", b"OFF\n3 1 0\n0 0 0\n1e300 0 0\n0 1e300 0\n3 0 1 2\n"),
             ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\n"

@@ -170,7 +170,7 @@ def test_every_named_change_measures_the_claimed_share(answer: Analysis, run: Ru
                 case ChangeKind.FIXTURE:
                     scene = scene.model_copy(update={"post": scene.post.model_copy(update={"enabled": False})})
                 case ChangeKind.TURN:
-                    numbers = [float(value) for value in change.setting.removeprefix("--place ").split(",")]
+                    numbers = [float(value) for value in change.setting.rpartition("--place ")[2].split(",")]
                     scene = load_scene(path, {"placement": {"position_mm": numbers[:3], "abc_deg": numbers[3:]}})
                 case ChangeKind.STANDOFF | ChangeKind.ROLL:
                     numbers = [float(value) for value in change.setting.split()[1].split(",")]

@@ -20,6 +20,7 @@ NEW_KEYS = {
     "executions/0001/report.json": {
         "deviation.edge_share",
         "deviation.with_edges",
+        "settings.actual",
         "views[].determined_error_mm",
         "views[].determined_error_after_mm",
         "views[].determined_error_deg",
