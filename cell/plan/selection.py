@@ -60,7 +60,7 @@ MIN_COST = 1e-6
 MAX_RAISE = 0.002
 """Share by which a target on the matrix is raised at most before samples are added: one raise is usual."""
 
-ALL = 0.9995
+ALL = 0.99
 """Share of the coverable held-out samples up to which rows are added for a requested coverage of 1."""
 
 ROUNDS = 6
@@ -519,9 +519,9 @@ def select_with_row_generation(
     """
     if problem.request.plan.fill != "aimed":
         return problem, select_views(problem, rng)
-    if problem.request.is_complete:
+    if problem.request.is_complete and not is_short:
         problem, start = _with_rows_for_all(problem, surface, rng, fresh)
-        return problem, start if is_short else select_views(problem, rng, start=start)
+        return problem, select_views(problem, rng, start=start)
     if not problem.request.is_evaluated:
         return problem, select_views(problem, rng)
     requested, spread = problem.request.targets, problem.prediction.samples
