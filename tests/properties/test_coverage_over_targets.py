@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from cell.plan import pipeline
-from cell.plan.selection import ALL, SelectionProblem, select_with_row_generation
+from cell.plan.selection import SelectionProblem, select_with_row_generation
 from cell.scene.file import scene_from_options
 from cell.session import Session, Stream
 from cell.world.measurability import PartSurface
@@ -55,7 +55,7 @@ def test_more_requested_coverage_never_gives_less(
     assert (np.diff(views) >= 0).all(), views
     assert (np.diff(shares) >= -_NOISE).all(), shares
     assert shares[-1] >= shares.max()
-    assert shares[-1] >= ALL
+    assert shares[-1] >= 0.9995
     assert (shares[:-1] >= TARGETS[:-1]).all()
 
 

@@ -87,7 +87,7 @@ def test_a_faulty_arm_is_refused_with_place_cause_and_cure(case: str, tmp_path: 
     with pytest.raises(CellError) as refusal:
         read_robot(file)
     message = str(refusal.value)
-    assert message.startswith(str(tmp_path))
+    assert message.startswith(str(tmp_path / "empty.obj" if case == "a mesh without faces" else file))
     assert words in message
     assert "\n" not in message
     assert "Error" not in message
