@@ -152,5 +152,6 @@ def _keep(picture: Path, folder: Path) -> None:
     info.add_text("Comment", f"scan-cell {commit}")
     folder.mkdir(parents=True, exist_ok=True)
     with Image.open(picture) as image:
-        image.convert("RGB").quantize(256).save(folder / picture.name, pnginfo=info, optimize=True)
+        # Without a palette of 256 colours, which gave the legend colours of other objects.
+        image.convert("RGB").save(folder / picture.name, pnginfo=info, optimize=True)
     typer.echo(f"{folder / picture.name}: {commit}")

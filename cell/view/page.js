@@ -418,7 +418,7 @@ function drawPath() {
   // Path of the scanner during the motion, at up to 1500 moments.
   const every = Math.max(1, Math.floor(motion.t.length / 1500)), points = [];
   for (let k = 0; k < motion.t.length; k += every) { pose(motion.q, n * k); scene.updateMatrixWorld(true); points.push(new THREE.Vector3().setFromMatrixPosition(scannerPose())); }
-  const line = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color: data.palette.chosen[0] }));
+  const line = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color: data.palette.path[0] }));
   scene.add(line);
   register("path", line, []);
 }

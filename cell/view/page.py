@@ -251,6 +251,7 @@ _PALETTE = {
     "plain": ["#d6ccb8"],
     "chosen": [palette.ORANGE],
     "cloud": [palette.GREEN],
+    "path": [palette.PURPLE],
 }
 
 
