@@ -69,12 +69,14 @@ class PoseSearch:
         effort: name or number of the requested effort.
         evaluated: evaluated poses.
         n_views: number of views at its end.
+        n_pinned: number of views among these that the request names.
         is_interrupted: whether Ctrl-C ended it.
     """
 
     effort: str
     evaluated: int
     n_views: int
+    n_pinned: int = 0
     is_interrupted: bool = False
 
     def sentence(self, n_views: int) -> str:
@@ -84,7 +86,7 @@ class PoseSearch:
         effort = f"interrupted, {self.effort}" if self.is_interrupted else self.effort
         begin = f"Pose search ({effort} effort, {self.evaluated:,} poses)"
         if n_views <= self.n_views:
-            return f"{begin} found no plan with {n_views - 1}."
+            return f"{begin} found no plan with {n_views - 1}{' that keeps the pinned views' * bool(self.n_pinned)}."
         return f"{begin} found {self.n_views} views, which could not be connected."
 
 
@@ -112,6 +114,7 @@ def skip_reason(problem: SelectionProblem) -> str:
 def search_views(
     problem: SelectionProblem, selection: Selection, surface: PartSurface, append: Append, rng: np.random.Generator,
     fresh: np.random.Generator, selection_rng: np.random.Generator, progress: SearchProgress,
+    *, is_allowed: Callable[[Floats], Bools] | None = None,
 ) -> tuple[SelectionProblem, Selection, PoseSearch]:  # fmt: skip
     """Find fewer views that measure as much of the held-out samples, among all reachable poses.
 
@@ -124,6 +127,7 @@ def search_views(
         fresh: samples on which found views are compared with the given ones.
         selection_rng: randomness of the selection among all candidates.
         progress: called with evaluated poses, effort, and the number of views found so far.
+        is_allowed: (n, 4, 4) [m] -> (n,) whether a view may be moved to each pose; None: all poses are allowed.
 
     Returns:
         Problem and selection with the moved views; the given ones if there are no fewer views.
@@ -149,10 +153,15 @@ def search_views(
             raise
         return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), is_interrupted=True)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
+
+    def are_reachable(T_object_scanner: Floats) -> Bools:
+        reachable = evaluator.are_reachable(T_object_scanner[:, None])
+        return reachable if is_allowed is None else reachable & is_allowed(T_object_scanner)
+
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.
     result = search_poses(
-        initial, pool, [Place(table.pick(needed), lambda T: evaluator.are_reachable(T[:, None]))],
-        weights[needed] / weights[coverable].sum(), shortfall=shortfall, effort=effort, rng=rng,
+        initial, pool, [Place(table.pick(needed), are_reachable)], weights[needed] / weights[coverable].sum(),
+        shortfall=shortfall, effort=effort, rng=rng,
         progress=lambda done, total, n_views: progress(done, total, len(fixed) + n_views),
     )  # fmt: skip
     # Views that hold the requirement on the fresh samples may miss the requested share of the held-out samples.
@@ -160,7 +169,7 @@ def search_views(
     while fewer and known.share_of_coverable(join_poses([fixed, fewer[-1]]).T_object_scanner[:, None]) < plan.coverage:
         fewer.pop()
     n_views = len(fixed) + len(fewer[-1] if fewer else initial)
-    numbers = PoseSearch(plan.effort, result.evaluated, n_views, result.is_interrupted)
+    numbers = PoseSearch(plan.effort, result.evaluated, n_views, len(fixed), result.is_interrupted)
     if not fewer:
         return problem, selection, numbers
     more, moved = _appended(problem, selection, join_poses([fixed, fewer[-1]]), append)
