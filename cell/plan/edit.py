@@ -181,7 +181,8 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
     annotations: dict[str, object] = {"part": before.report.part, "common_cover": before.is_setup_of_group or None}
     if not is_bounded:
-        annotations["status"] = "Edited by hand; the smallest number of views is not known"
+        status = "Edited by hand; the smallest number of views is not known"
+        annotations["status"] = f"{status}. {plan.searched}" if plan.searched else status
     for view in edited.views:
         if not (plan.matrix.indices == view).any():
             session.note(f"{edited.names[view]} measures none of the samples")

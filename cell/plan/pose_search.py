@@ -86,7 +86,7 @@ class PoseSearch:
         effort = f"interrupted, {self.effort}" if self.is_interrupted else self.effort
         begin = f"Pose search ({effort} effort, {self.evaluated:,} poses)"
         if n_views <= self.n_views:
-            return f"{begin} found no plan with {n_views - 1}{' that keeps the pinned views' * bool(self.n_pinned)}."
+            return f"{begin} found no plan with {n_views - 1}{' that keeps the given views' * bool(self.n_pinned)}."
         return f"{begin} found {self.n_views} views, which could not be connected."
 
 
