@@ -49,7 +49,8 @@ class LiveReach(Value):
         share: coverable share of the surface.
         blockers: number of candidates that each pair of objects prevents, largest first.
         contacts: pairs nearer than the clearance with the arm at home, and objects inside others.
-        problems: sentences of `cell check`; only of an exact evaluation.
+        problems: sentences of `cell check`; only of an exact evaluation without contacts, since their search for a
+            way out of a contact takes seconds.
     """
 
     verdict: Annotated[NDArray[np.uint8], "V"]
@@ -58,6 +59,11 @@ class LiveReach(Value):
     blockers: dict[str, int]
     contacts: tuple[str, ...]
     problems: tuple[str, ...] = ()
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the cell can be planned."""
+        return not self.contacts and not self.problems
 
     @property
     def n_reachable(self) -> int:
@@ -152,7 +158,7 @@ class LiveCell:
         contacts = dict.fromkeys((*checker.contacts(world.home), *_placed_contacts(world)))
         return LiveReach(
             found.verdict, coverable, float(areas[coverable].sum() / areas.sum()), found.blockers(), tuple(contacts),
-            tuple(find_problems(world)) if exact else (),
+            tuple(find_problems(world)) if exact and not contacts else (),
         )  # fmt: skip
 
     def contacts(self, T_base_centre: Floats, q: Floats) -> list[tuple[str, float]]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +52,7 @@ def live_page(
         casters = cell.data.surface.caster, make_caster(fixed_occluders(world))
         poses = np.stack([view.T_object_poses for view in run.plan.views])
         part = part_surface(canvas, measure_samples(canvas.samples, poses, cell.scanner, casters), [layer])
-        contents = run_contents(run)
+        contents = _with_folder(run_contents(run), run)
     keys = ScannerKeys(**scanners.describe(cell.settled.scene.scanner.type, cell.settled.scanner))
     scene = PageScene(f"Live cell with {cell.settled.part.name}", cell_of_world(world, keys), [part])
     live = {
@@ -67,6 +69,14 @@ def live_page(
     return text.replace("</style>", f"{resource_text('live.css')}</style>", 1).replace(
         "</body>", f"{script}</script>\n</body>"
     )
+
+
+def _with_folder(contents: PageContents, run: Run) -> PageContents:
+    """Return the contents with the folder of the run in its commands."""
+    folder = shlex.quote(str(run.folder))
+    views = [replace(view, commands=[text.replace("RUN", folder) for text in view.commands]) for view in contents.views]
+    following = [text.replace("RUN", folder) for text in contents.next_commands]
+    return replace(contents, views=views, next_commands=following)
 
 
 def reach_json(reach: LiveReach) -> dict[str, object]:

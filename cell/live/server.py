@@ -238,7 +238,7 @@ class LiveServer:
         self.history.push(scene)
         self.cell, self.reach = cell, found
         self._changed(is_drawn=is_drawn)
-        if self.is_planning and not found.problems:
+        if self.is_planning and found.is_feasible:
             self._plan(None)
 
     def _changed(self, *, is_drawn: bool) -> None:

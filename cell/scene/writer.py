@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from cell.scene.model import Scene
 
@@ -16,7 +17,7 @@ def _table_lines(table: Mapping[str, object], name: str) -> Iterator[str]:
     """Yield the lines of a table: its values, then its tables, then its lists of tables."""
     given = {key: value for key, value in table.items() if value is not None}
     below = {key: value for key, value in given.items() if isinstance(value, Mapping)}
-    lists = {key: value for key, value in given.items() if key not in below and _is_list_of_tables(value)}
+    lists: dict[str, Any] = {key: value for key, value in given.items() if _is_list_of_tables(value)}
     for key, value in given.items():
         if key not in below and key not in lists:
             yield f"{_key(key)} = {_value(value)}"
@@ -30,9 +31,7 @@ def _table_lines(table: Mapping[str, object], name: str) -> Iterator[str]:
 
 
 def _is_list_of_tables(value: object) -> bool:
-    if not isinstance(value, Sequence) or isinstance(value, str):
-        return False
-    return bool(value) and all(isinstance(each, Mapping) for each in value)
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(each, Mapping) for each in value)
 
 
 def _key(key: str) -> str:

@@ -27,6 +27,8 @@ function show(pose) {
   if (pose.name === "part") {
     const inLink = T_link_base.clone().multiply(D);
     onPart.matrix.copy(inLink);
+    data.camera.part = pose.position_mm.map((each) => each / 1000);
+    partCentre.set(...data.camera.part);
     const shift = new THREE.Matrix4().setPosition(...pose.position_mm.map((each, k) => each / 1000 - drawn.part.elements[12 + k]));
     const turned = (T) => T_link_base.clone().multiply(T).multiply(T_link_base.clone().invert());
     place(objectsOf("post"), turned(shift));
@@ -183,7 +185,7 @@ function showJob(message) {
 }
 
 // ---- reach: candidates, surface, contacts ----------------------------------------------------------------------------
-const VERDICT = [data.palette.cloud[0], "#999999", "#e69f00", data.palette.open[0]].map(rgb);
+const COLLISION = "#5d3a9b", VERDICT = [data.palette.cloud[0], "#999999", "#e69f00", COLLISION].map(rgb);
 const dotGeometry = new THREE.BufferGeometry();
 dotGeometry.setAttribute("position", new THREE.BufferAttribute(places(live.candidates), 3));
 dotGeometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * dotGeometry.attributes.position.count), 3));
@@ -200,7 +202,7 @@ function markPieces(pairs) {
   for (const name of pairs.flatMap((pair) => pair.split(" with "))) {
     for (const material of materialsOf(name)) if (!marked.some(([other]) => other === material)) marked.push([material, material.color.clone()]);
   }
-  for (const [material] of marked) material.color.set(data.palette.open[0]);
+  for (const [material] of marked) material.color.set(COLLISION);
   redraw();
 }
 function showContacts(lines, pairs) {
@@ -217,6 +219,12 @@ function showReach() {
   const line = element("div", undefined, reachBox);
   element("b", `${reach.reachable}`, line); line.append(` of ${reach.candidates} candidates reached, `);
   element("b", `${(100 * reach.share).toFixed(2)} %`, line); line.append(" of the surface coverable");
+  const legend = element("div", undefined, reachBox, "row");
+  ["reached", "out of reach", "joint limit", "collision"].forEach((text, k) => {
+    const entry = element("span", undefined, legend, "note");
+    element("span", undefined, entry, "dot").style.background = `#${new THREE.Color(...VERDICT[k]).getHexString()}`;
+    entry.append(text);
+  });
   if (reach.blockers.length) element("div", `collisions: ${reach.blockers.map(([name, count]) => `${name} ${count}`).join(", ")}`, reachBox, "note");
   problems.replaceChildren();
   for (const text of reach.contacts) element("p", `contact: ${text}`, problems, "problem");
