@@ -130,7 +130,8 @@ def _viewer() -> tuple[Callable[[str], Callable[[], int]], Callable[[Any], Any],
                 violations = self._playback.violations()
                 self._playback.add_moment_marks(marks, self._player.t, violations)
                 self._caption = self._playback.caption(self._player.t, violations)
-            self.viewer.extra_geoms[:] = list(marks.geoms[: marks.ngeom])
+            mesh = mujoco.mjtGeom.mjGEOM_MESH  # the web viewer stops at a mark that is a mesh
+            self.viewer.extra_geoms[:] = [geom for geom in marks.geoms[: marks.ngeom] if geom.type != mesh]
 
         @messages.handler  # type: ignore[untyped-decorator]
         def on_gui(self, _: messages.BuildGuiEvent) -> None:
