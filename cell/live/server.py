@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
-from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
+from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -128,15 +128,12 @@ class LiveServer:
                        "Connection": "close"}  # fmt: skip
             return Response(HTTPStatus.OK, "OK", Headers(headers), body)
 
-        server: Server = await serve(self._connect, sock=sock, process_request=answer, max_size=_MAX_MESSAGE)
-        worker = asyncio.create_task(self._work())
         try:
-            on_ready(address)
-            await asyncio.gather(server.wait_closed(), worker)
+            async with serve(self._connect, sock=sock, process_request=answer, max_size=_MAX_MESSAGE):
+                on_ready(address)
+                await self._work()
         finally:
-            worker.cancel()
-            self._stop_job()
-            server.close()
+            await asyncio.to_thread(self._stop_job)
 
     async def _page_bytes(self) -> bytes:
         async with self._page_lock:
