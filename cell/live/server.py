@@ -133,6 +133,8 @@ class LiveServer:
                 on_ready(address)
                 await self._work()
         finally:
+            if self._following is not None:
+                self._following.cancel()
             await asyncio.to_thread(self._stop_job)
 
     async def _page_bytes(self) -> bytes:

@@ -50,7 +50,7 @@ for (const line of lines) line.addEventListener("click", () => select(Number(lin
 
 // ---- map ------------------------------------------------------------------------------------------------------------
 const chosen = { x: varying.includes("x mm") ? "x mm" : varying[0], y: varying.includes("y mm") ? "y mm" : varying[1] ?? varying[0] };
-chosen.colour = ["planned %", "coverable %", "visible %"].find((column) => numeric.includes(column) && !Object.values(chosen).includes(column)) ?? varying.find((column) => !Object.values(chosen).includes(column)) ?? varying[0];
+chosen.colour = ["planned %", "coverable %", "visible %"].find((column) => numeric.includes(column) && 2 * values(column).length > rows.length && !Object.values(chosen).includes(column)) ?? varying.find((column) => !Object.values(chosen).includes(column)) ?? varying[0];
 const SVG = "http://www.w3.org/2000/svg";
 function draw(tag, parent, attributes, content) {
   const made = document.createElementNS(SVG, tag);

@@ -6,7 +6,8 @@ is bound to 127.0.0.1, and every request is checked (`cell.view.loopback`) befor
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from cell.errors import UsageError
@@ -14,7 +15,7 @@ from cell.view import loopback, rays
 from cell.view.playback import Playback, set_visible_groups
 from cell.view.viewer import REFRESH, SPEEDS, Player, set_camera
 
-_PATIENCE_S = 30.0  # until the viewer has a port
+_PATIENCE_S = 30.0  # until the viewer listens
 _MAX_GEOMS = 2000  # of marks; the viewer sends the first 1024
 
 
@@ -44,14 +45,13 @@ def play_web(
     Raises:
         UsageError: if this MuJoCo has no web viewer, or another one.
     """
-    confine, launch, panel_type = _viewer()
+    confined, launch, panel_type = _viewer()
     token = loopback.make_token()
-    port = confine(token)
     player = Player(playback.timeline, speed, start, None if playback.tightest is None else playback.tightest.time)
     playback.pose(start)
     lock = threading.Lock()
     panel = panel_type(playback, player, camera, lock)
-    with launch(panel) as handle:
+    with confined(token) as port, launch(panel) as handle:
         handle.set_model(playback.replay_model.model, data=playback.data)
         on_ready(f"http://{loopback.HOST}:{port()}/?token={token}")
         before = clock()
@@ -65,8 +65,8 @@ def play_web(
             wait(REFRESH)
 
 
-def _viewer() -> tuple[Callable[[str], Callable[[], int]], Callable[[Any], Any], type[Any]]:
-    """Return functions that confine and launch the viewer, and the type of the panel.
+def _viewer() -> tuple[Callable[[str], AbstractContextManager[Callable[[], int]]], Callable[[Any], Any], type[Any]]:
+    """Return functions that confine the viewer inside a block and launch it, and the type of the panel.
 
     Raises:
         UsageError: if this MuJoCo has no web viewer, or another one.
@@ -76,22 +76,21 @@ def _viewer() -> tuple[Callable[[str], Callable[[], int]], Callable[[Any], Any],
         from mujoco.studio.dear_imgui import dear_imgui as imgui
         from mujoco.studio.web import web_server
 
-        bind, serve, _ = web_server.bind_public_socket, web_server.serve, web_viewer._print_url_banner
+        bind, serve, banner = web_server.bind_public_socket, web_server.serve, web_viewer._print_url_banner
     except (ImportError, AttributeError) as error:
         raise UsageError(
             f"this MuJoCo has no web viewer that can be confined to this machine ({error}); install mujoco 4.0, or "
             "draw pictures with --frames DIR or --picture FILE.png"
         ) from error
 
-    def confine(token: str) -> Callable[[], int]:
-        ports: queue.SimpleQueue[int] = queue.SimpleQueue()  # the viewer binds in a thread of its own
+    @contextmanager
+    def confined(token: str) -> Iterator[Callable[[], int]]:
+        ports: queue.SimpleQueue[int] = queue.SimpleQueue()  # the viewer serves in a thread of its own
 
         def bind_loopback(host: str, port: int = 0) -> Any:
-            sock = bind(loopback.HOST, port)
-            ports.put(sock.getsockname()[1])
-            return sock
+            return bind(loopback.HOST, port)
 
-        def serve_checked(handler: Any, *, process_request: Any, **keywords: Any) -> Any:
+        async def serve_checked(handler: Any, *, process_request: Any, **keywords: Any) -> Any:
             port = keywords["sock"].getsockname()[1]
 
             def check(connection: Any, request: Any) -> Any:
@@ -103,11 +102,17 @@ def _viewer() -> tuple[Callable[[str], Callable[[], int]], Callable[[Any], Any],
                     response.headers["Set-Cookie"] = loopback.cookie(port, token)
                 return response
 
-            return serve(handler, process_request=check, **keywords)
+            server = await serve(handler, process_request=check, **keywords)
+            ports.put(port)
+            return server
 
         web_server.bind_public_socket, web_server.serve = bind_loopback, serve_checked
         web_viewer._print_url_banner = lambda host, port: None  # it names the address of all interfaces
-        return lambda: ports.get(timeout=_PATIENCE_S)
+        try:
+            yield lambda: ports.get(timeout=_PATIENCE_S)
+        finally:
+            web_server.bind_public_socket, web_server.serve = bind, serve
+            web_viewer._print_url_banner = banner
 
     class Panel(plugin.ViewerPlugin):  # type: ignore[misc]  # mujoco has no types
         """Marks of the moment, and the controls of the playback."""
@@ -156,4 +161,4 @@ def _viewer() -> tuple[Callable[[str], Callable[[], int]], Callable[[Any], Any],
     def launch(panel: Any) -> Any:
         return launch_web.launch(viewer_protocol.ViewerConfig(title="scan-cell", gfx="web"), plugins=[panel])
 
-    return confine, launch, Panel
+    return confined, launch, Panel

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import shutil
 import threading
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping
@@ -75,8 +76,10 @@ def _served(scene: Scene, folder: Path, run: Path | None = None) -> Iterator[tup
 def served(
     scene: Scene, planned: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[LiveServer, Address]]:
-    """Serve the small plan."""
-    with _served(scene, tmp_path_factory.mktemp("live") / "states", planned) as made:
+    """Serve a copy of the small plan."""
+    folder = tmp_path_factory.mktemp("live")
+    shutil.copytree(planned, folder / "run")
+    with _served(scene, folder / "states", folder / "run") as made:
         yield made
 
 
@@ -215,25 +218,34 @@ def test_wrong_messages_are_refused(served: tuple[LiveServer, Address]) -> None:
     assert server.scene == before
 
 
-@pytest.mark.usefixtures("full_effort")
-def test_a_plan_of_the_page_is_that_of_the_command(scene: Scene, tmp_path: Path) -> None:
-    """The plan after a release equals `cell plan` of the saved scene; it can be cancelled and executed."""
-    with _served(scene, tmp_path / "live") as (server, address), _connected(address) as socket:
+def test_a_job_is_cancelled_and_an_execution_is_followed(served: tuple[LiveServer, Address]) -> None:
+    """A cancelled plan leaves no folder. On sim:// the arm arrives at every view and at home."""
+    server, address = served
+    run = server.history.state.run
+    assert run is not None
+    with _connected(address) as socket:
         _ask(socket, "plan", None, lambda message: "stage" in message.get("job", {}))
         _ask(socket, "cancel", None, lambda message: message.get("job") == {"failed": "cancelled"})
-        assert list((tmp_path / "live" / "plans").glob("*")) == []
+        assert list((server.history.folder / "plans").glob("*")) == []
+        socket.send(json.dumps({"scan": None}))
+        arrived = list[int]()
+        while not arrived or arrived[-1]:
+            event = json.loads(socket.recv(_PATIENCE_S)).get("follow", {})
+            arrived += [event["number"]] if event.get("event") == "arrival" else []
+        assert arrived == [*range(1, open_run(run).report.n_views + 1), 0]
+        _ask(socket, "cancel", None, lambda message: message.get("job") == {"failed": "cancelled"})
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("full_effort")
+def test_a_plan_of_the_page_is_that_of_the_command(scene: Scene, tmp_path: Path) -> None:
+    """The plan after a release has the digest of `cell plan` of the saved scene."""
+    with _served(scene, tmp_path / "live") as (server, address), _connected(address) as socket:
         _ask(socket, "plan", None, lambda message: "reload" in message)
         found = open_run(server.history.state.run or Path())
         expected = api.plan(scene=server.history.state.file, out=tmp_path / "expected")
         assert found.digest == expected.digest
         assert found.report.coverage == expected.report.coverage
-        followed = []
-        _ask(
-            socket, "scan", None,
-            lambda message: followed.append(message.get("follow")) or message.get("job", {}).get("folder"),
-        )  # fmt: skip
-        arrived = [event["number"] for event in followed if event and event["event"] == "arrival"]
-        assert arrived == [*range(1, found.report.n_views + 1), 0]
 
 
 def test_the_page_is_dragged_in_a_browser(chromium: Any, served: tuple[LiveServer, Address]) -> None:
