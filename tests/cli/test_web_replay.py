@@ -1,5 +1,7 @@
 """`cell replay --web`: MuJoCo Studio's web viewer, bound to this machine, for requests with its token only."""
 
+import re
+import signal
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
@@ -11,20 +13,8 @@ from websockets.sync.client import connect
 
 from cell.errors import UsageError
 from cell.scene.options import parse_options
-from cell.session import LoggedProgress
-from cell.view.replay import replay
 from cell.view.replay_options import ReplayOptions
-
-
-class _EnoughError(Exception):
-    pass
-
-
-class _Reporter(LoggedProgress):
-    address = ""
-
-    def note(self, sentence: str) -> None:
-        self.address = next((word for word in sentence.split() if word.startswith("http://")), self.address)
+from tests.support.fixture_types import StartCommand
 
 
 def _status(url: str, headers: Mapping[str, str]) -> int:
@@ -35,30 +25,31 @@ def _status(url: str, headers: Mapping[str, str]) -> int:
         return error.code
 
 
-@pytest.mark.parametrize("_time", [1, 2])
-def test_the_web_viewer_answers_only_its_own_page(_time: int, planned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Page and model are served with the token or its cookie; other requests are refused, also the second time."""
-    monkeypatch.delenv("DISPLAY", raising=False)
-    reporter = _Reporter()
-
-    def look(_: float) -> None:
-        root, _, token = reporter.address.partition("?token=")
+def test_the_web_viewer_answers_only_its_own_page(planned: Path, start_cell: StartCommand, tmp_path: Path) -> None:
+    """Page, model and state are served with the token or its cookie; other requests are refused. Ctrl-C ends it."""
+    process = start_cell("replay", planned, "--web", "--rate", "0.001", cwd=tmp_path)
+    try:
+        assert process.stderr is not None
+        address = next(found[0] for line in process.stderr if (found := re.search(r"http://\S+", line)))
+        root, _, token = address.partition("?token=")
         port = root.rstrip("/").rpartition(":")[2]
-        cookie = {"Cookie": f"cell-token-{port}={token}"}
-        assert root == f"http://127.0.0.1:{port}/"
-        assert _status(reporter.address, {}) == _status(f"{root}model?total_bytes", cookie) == 200
-        assert {
-            _status(root, {}), _status(f"{root}model", {}), _status(reporter.address, {"Host": "attacker.example"}),
-            _status(reporter.address, {"Origin": "http://attacker.example"}),
-        } == {403}  # fmt: skip
-        with pytest.raises(InvalidStatus):
-            connect(f"ws://127.0.0.1:{port}/state", origin=f"http://127.0.0.1:{port}")  # type: ignore[arg-type]
-        with connect(f"ws://127.0.0.1:{port}/state", origin=f"http://127.0.0.1:{port}", additional_headers=cookie):  # type: ignore[arg-type]
+        cookie, own = {"Cookie": f"cell-token-{port}={token}"}, f"http://127.0.0.1:{port}"
+        assert root == f"{own}/"
+        assert _status(address, {}) == _status(f"{root}model?total_bytes", cookie) == 200
+        assert _status(root, {}) == _status(f"{root}model", {}) == 403
+        assert _status(address, {"Host": f"attacker.example:{port}"}) == 403
+        assert _status(address, {"Origin": "http://attacker.example"}) == 403
+        for origin, headers in ((own, {}), ("http://attacker.example", cookie)):
+            with pytest.raises(InvalidStatus):
+                connect(f"ws://127.0.0.1:{port}/state", origin=origin, additional_headers=headers)  # type: ignore[arg-type]
+        with connect(f"ws://127.0.0.1:{port}/state", origin=own, additional_headers=cookie):  # type: ignore[arg-type]
             pass
-        raise _EnoughError
-
-    with pytest.raises(_EnoughError):
-        replay(planned, ReplayOptions(web=True), reporter, wait=look)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+        assert process.returncode == 130
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_a_browser_excludes_pictures() -> None:
