@@ -297,8 +297,9 @@ class LiveServer:
         pinned = [each for each in pinned if each != candidate] if candidate in pinned else [*pinned, candidate]
         run = self.history.state.run
         self._push(states.pinned(self.scene, pinned))
-        if not self.is_planning:
+        if not self.is_planning:  # the page still shows the plan
             self.history.with_run(run)
+            self._send({"state": self._state()})
 
     def _scan(self, _: Any) -> None:
         """Execute the plan on the simulated controller."""
