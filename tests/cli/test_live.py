@@ -248,11 +248,11 @@ def test_a_plan_of_the_page_is_that_of_the_command(scene: Scene, tmp_path: Path)
         assert found.report.coverage == expected.report.coverage
 
 
-def test_the_page_is_dragged_in_a_browser(chromium: Any, served: tuple[LiveServer, Address]) -> None:
+def test_the_page_is_dragged_in_a_browser(browser: Any, served: tuple[LiveServer, Address]) -> None:
     """The tip of an arrow is dragged by pixels; the numbers are those of the evaluation at the shown place."""
     server, address = served
-    chromium.open(address.url)
-    found = chromium.run(
+    browser.open(address.url)
+    found = browser.run(
         """(async () => {
           const later = (ms) => new Promise((done) => setTimeout(done, ms));
           while (socket.readyState !== 1) await later(50);
@@ -270,8 +270,8 @@ def test_the_page_is_dragged_in_a_browser(chromium: Any, served: tuple[LiveServe
                    text: byId("live-reach").textContent };
         })()"""
     )
-    assert chromium.faults() == []
-    assert [each for each in chromium.requests() if not each.startswith(address.url)] == []
+    assert browser.faults() == []
+    assert [each for each in browser.requests() if not each.startswith(address.url)] == []
     assert found["updates"] >= 2
     assert found["moved"] > 0.5
     position, angles = found["pose"]["position_mm"], found["pose"]["abc_deg"]

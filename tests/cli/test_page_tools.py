@@ -239,7 +239,7 @@ def test_nothing_overlaps(chromium: Any, page: Path) -> None:
     assert height > 0.5 * free
 
 
-def test_the_map_and_the_table_of_a_study(browser: Any, tmp_path: Path) -> None:
+def test_the_map_and_the_table_of_a_study(chromium: Any, tmp_path: Path) -> None:
     """A mark selects its row and its command; a heading sorts; views have one step of colour each."""
     rows = [
         {"x mm": x, "y mm": y, "coverable %": 91.0 + 0.001 * x, "views": 5 + (x > 0)} for x in (0, 80) for y in (1, 2)
@@ -251,8 +251,8 @@ def test_the_map_and_the_table_of_a_study(browser: Any, tmp_path: Path) -> None:
     (tmp_path / "study.json").write_text(json.dumps(study))
     page = tmp_path / "view.html"
     page.write_text(study_page(tmp_path), encoding="utf-8")
-    found = _run(
-        browser,
+    found = _run(  # the driver of Firefox runs scripts in the page, which allows only its own
+        chromium,
         page,
         """
         const marks = () => [...document.querySelectorAll("#map [data-row]")];
