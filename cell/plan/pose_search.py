@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from cell.plan.candidates import GROWN, view_evaluator
 from cell.plan.improvement import cover_of_views
-from cell.plan.selection import Request, Search, Selection, SelectionProblem, select_views
+from cell.plan.selection import Request, Selection, SelectionProblem, continue_selection
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.direction_table import DirectionTable
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import VisibilityMemo
+from planner.measurability.visibility import VisibilityMemo, find_measured
 from planner.ports import DirectionCaster, Scanner
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
@@ -57,6 +57,8 @@ EVALUATED_PER_VIEW = 300
 
 N_COMPARED = 40_000
 """Samples on which found views are compared with those from which the search begins."""
+
+_SAMPLING_ERROR = 3e-4  # of a share on the compared samples, so that it also holds on the held-out ones
 
 _HALVINGS = 40  # of an interval that begins with (0, 1)
 
@@ -173,9 +175,9 @@ def search_views(
     if not fewer:
         return problem, selection, numbers
     more, moved = _appended(problem, selection, join_poses([fixed, fewer[-1]]), append)
-    # A selection among all candidates may need still fewer views; it must measure no less than the requested share.
-    among_all = select_views(more, selection_rng, start=moved, search=Search.CONTINUED)
-    is_better = len(among_all.cover.views) < len(moved.cover.views) and bool((among_all.shares >= least).all())
+    # A selection among all candidates may need still fewer views.
+    among_all = continue_selection(more, moved, selection_rng)
+    is_better = len(among_all.cover.views) < len(moved.cover.views) and among_all.satisfies(problem.request.targets)
     return more, among_all if is_better else moved.with_bounds_of(among_all), numbers
 
 
@@ -186,19 +188,24 @@ def _shortfall(
     """Return the comparison of views with those of a selection, on samples that neither was chosen by.
 
     Found views measure as much more of these samples as the selection misses `least` of the held-out samples, but no
-    less than the selection.
+    less than the selection. They also measure the requested share of what candidates and views can measure, which is
+    more surface than the candidates alone can measure.
     """
-    known = problem.prediction
+    known, requested = problem.prediction, problem.request.plan.coverage
     samples = draw_samples(surface.reference, surface.planning, min(N_COMPARED, len(known.samples)), fresh)
     memo = VisibilityMemo(samples, known.scanner, known.casters)
+    T = problem.candidates.T_object_scanner
+    of_start = memo.measured(T[selection.cover.views])
+    coverable = of_start | find_measured(T[problem.usable()], samples, known.scanner, known.casters, among=~of_start)
+    goal = float(of_start.mean() / coverable.mean()) + max(0.0, least - float(selection.shares[0]))
 
-    def measured(T_object_scanner: Floats) -> float:
-        """Return the measured share of the coverable area."""
-        return float(memo.measured(T_object_scanner).mean()) / known.coverable.fraction  # samples of equal area
+    def shortfall(views: SearchPoses) -> float:
+        measured = memo.measured(join_poses([fixed, views]).T_object_scanner[:, None])
+        missing = goal - float(measured.mean() / coverable.mean())
+        share = float(measured.mean() / (coverable | measured).mean())
+        return max(missing, requested + _SAMPLING_ERROR - share)
 
-    more = max(0.0, least - float(selection.shares[0]))
-    goal = measured(problem.candidates.T_object_scanner[selection.cover.views]) + more
-    return lambda views: goal - measured(join_poses([fixed, views]).T_object_scanner[:, None])
+    return shortfall
 
 
 def effort_of(request: Request, n_views: int) -> int:

@@ -529,7 +529,7 @@ def select_with_row_generation(
     for left in reversed(range(ROUNDS + 1)):
         selection = select_views(problem, rng, start=selection, search=Search.PROBE)
         if selection.almost_satisfies(requested):
-            selection = selection if is_short else _continued(problem, selection, rng)
+            selection = selection if is_short else continue_selection(problem, selection, rng)
             if selection.almost_satisfies(requested):
                 break
         if not left:  # a selection that is raised and bounded afterwards must be of the same rows
@@ -590,12 +590,15 @@ def _for_most_coverage(problem: SelectionProblem, max_views: int) -> SelectionPr
 def select_thoroughly(problem: SelectionProblem, start: Selection, rng: np.random.Generator) -> Selection:
     """Continue from views of short searches with the full budget, over the same rows."""
     if start.almost_satisfies(problem.request.targets):
-        start = _continued(problem, start, rng)
+        start = continue_selection(problem, start, rng)
     return select_views(problem, rng, start=start)
 
 
-def _continued(problem: SelectionProblem, probe: Selection, rng: np.random.Generator) -> Selection:
-    """Continue the search from a probe with the full budget."""
+def continue_selection(problem: SelectionProblem, probe: Selection, rng: np.random.Generator) -> Selection:
+    """Continue the search from views that were selected shortly, with the full budget.
+
+    Fewer views that fall slightly short of the requested coverage are searched again for a higher target.
+    """
     if not problem.request.is_probed:  # the probe had the full budget
         return probe
     requested, targets = problem.request.targets, probe.raised_targets(problem.request.targets)

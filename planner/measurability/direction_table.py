@@ -294,7 +294,7 @@ def _cast(
                 break
             step //= 2
             _subdivide(part, step)
-            if step == _COARSEST // 2:  # thin occluders are between the nodes of the first level
+            if 1 < step == _COARSEST // 2:  # thin occluders are between the nodes of the first level
                 is_occluded = (part[:, ::_COARSEST, ::_COARSEST] == 0).any(axis=(1, 2))
                 level = part[:, ::step, ::step]
                 is_new = np.ones(level.shape[1:], dtype=np.bool_)
