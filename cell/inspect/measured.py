@@ -91,6 +91,7 @@ class MeasuredPatch:
         sigma: standard deviation of the points about the shape [m].
         doubts: reasons why the shape is not determined.
         missed: demands on a plan that are not met.
+        mean_views: of the measured surface.
     """
 
     patch: Patch
@@ -103,6 +104,7 @@ class MeasuredPatch:
     sigma: float = 0.0
     doubts: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
+    mean_views: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

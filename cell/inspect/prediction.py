@@ -125,7 +125,8 @@ def _predict_patch(
     found = measure_patch(association, feature, patch, surface, np.arange(len(row)), measured)
     share = float(nodes.areas[seen].sum() / nodes.areas.sum())
     missed = tuple(_missed_demands(patch.shape, nodes.points, seen, share))
-    return replace(found, n_points=int(weight.sum()), share=share, missed=missed)
+    mean_views = float((count[seen] > 0).sum(axis=1).mean())
+    return replace(found, n_points=int(weight.sum()), share=share, missed=missed, mean_views=mean_views)
 
 
 def _yield(
