@@ -208,19 +208,24 @@ class Evaluation:
         noise, poses, start = [], np.zeros((len(g), 6 * len(self.pose_sd))), 0
         for key, shape in shapes.items():
             cells = self._cells(key)
-            own = np.zeros((len(g), len(cells.noise)))
-            used = list(PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind])
+            J = np.zeros((len(g), N_COMPONENTS))
+            used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
             for component in used if cells.gain.any() else ():
                 change = np.zeros(N_COMPONENTS)
                 change[component] = _DIFFERENCE
                 low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
-                own += np.outer((high - low) / (2 * _DIFFERENCE), cells.gain[component])
-            if key in model.cells:
-                dense = np.flatnonzero(cells.is_dense)
-                own[start + np.arange(len(dense)), dense] += 1.0
-                start += len(dense)
+                J[:, component] = (high - low) / (2 * _DIFFERENCE)
+            poses += J @ cells.shape_lever.reshape(N_COMPONENTS, -1)
+            if key not in model.cells:
+                noise.append(J @ cells.shape_noise)
+                continue
+            # The errors of the cells and of the shape through them are the same.
+            dense, own = np.flatnonzero(cells.is_dense), J @ cells.gain
+            rows = start + np.arange(len(dense))
+            own[rows, dense] += 1.0
             noise.append(own * cells.noise)
-            poses += own @ cells.lever.reshape(len(cells.noise), -1)
+            poses[rows] += cells.lever[dense].reshape(len(dense), -1)
+            start += len(dense)
         gain = np.hstack([*noise, poses * np.repeat(self.pose_sd, 3, axis=1).ravel()])
         return gain if model.residual is None else model.residual @ gain
 

@@ -66,6 +66,8 @@ class Cells(Value):
         lever: (C, V, 6) displacement along the normal per translation and rotation of each view.
         gain: (7, C) change of the fitted shape per displacement of a cell along its normal.
         is_dense: (C,) whether a cell has enough points for form.
+        shape_noise: (7, K) change of the fitted shape by independent errors of unit variance of the points.
+        shape_lever: (7, V, 6) change of the fitted shape per translation and rotation of each view.
     """
 
     points: Annotated[Floats, "C 3"]
@@ -74,6 +76,8 @@ class Cells(Value):
     lever: Annotated[Floats, "C V 6"]
     gain: Annotated[Floats, "7 C"]
     is_dense: Annotated[Bools, "C"]
+    shape_noise: Annotated[Floats, "7 K"]
+    shape_lever: Annotated[Floats, "7 V 6"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -337,6 +341,9 @@ def _cells(
     variance = variance * max(1.0, left / known) if known > 0 else np.full(len(rows), left)
     lever = np.zeros((len(count), n_views, 6))
     np.add.at(lever, (cell, view), weight[:, None] * columns)
+    shape_lever = np.zeros((N_COMPONENTS, n_views, 6))
+    for own, row in zip(shape_lever, gain, strict=True):
+        np.add.at(own, view, row[:, None] * columns)
     return Cells(
         feet[first] + mean(residuals)[:, None] * normals[first],
         normals[first],
@@ -344,6 +351,8 @@ def _cells(
         lever / count[:, None, None],
         np.stack([np.bincount(cell, weights=row) for row in gain]),
         count >= SPARSE * np.median(count),
+        np.asarray(np.linalg.qr((gain * np.sqrt(variance / weight)).T, mode="r")).T,
+        shape_lever,
     )
 
 
