@@ -28,6 +28,7 @@ STUDIES = {
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
     "nist_fits": "fits of FOLDER's points beside reference pairs in the form of NIST: largest differences",
+    "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
     "mutation": "seeded small faults in given modules: the share that given tests detect",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
@@ -57,7 +58,6 @@ REGISTRY = {
     "ur_soak": "moves over ur:// with faults and killed clients, compared with the executed commands",
     "kills": "client and controller killed at random moments, then resumed: lost and repeated moves",
     "edits": "random edits of plans and differences of runs: results and refusals, checked independently",
-    "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
     "locate": "placements found from one scan of a displaced part: error and reported undetermined motions",
     "hand_eye": "mounts from 12 scans of a sphere or a plane: error and reported precision; degenerate sets",
     "plan": "cell plan as a process: stages, memory and prediction error on every part",
@@ -129,7 +129,9 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 def run_study(name: str, words: list[str]) -> int:
     """Run a study with its own options; return the exit code."""
-    study = import_module(f"benchmarks.{name}" if name in ("golden", "nist_fits") else f"benchmarks.methods.{name}").app
+    study = import_module(
+        f"benchmarks.{name}" if name in ("golden", "inspection", "nist_fits") else f"benchmarks.methods.{name}"
+    ).app
     program = f"python -m benchmarks {name}"
     return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 

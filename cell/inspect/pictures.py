@@ -9,15 +9,12 @@ from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import MeasuredFeature
 from cell.inspect.results import InspectionResult, tolerance_text
 from cell.view.packed import Layer, quantised_layer
-from cell.view.palette import rgb
+from cell.view.palette import VERDICTS, rgb
 from cell.view.part_page import draw_numbered, selectable_page, split_vertices
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
-_COLOURS = {
-    "other surface": "#d9dee3", "no tolerance": "#9aa5b1", "pass": "#3f8f5b", "fail": "#c0392b",
-    "undecided": "#e0a030", "not measured": "#7b5ea7",
-}  # fmt: skip
+_COLOURS = {"other surface": "#d9dee3", **VERDICTS}
 _WORST_FIRST = ("fail", "undecided", "not measured", "pass", "no tolerance")
 
 
