@@ -5,7 +5,8 @@ number of views. A characteristic with U above its limit therefore raises the nu
 and the views are selected again with all rows.
 """
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,13 +21,15 @@ from planner.geometry.sampling import draw_samples, pick_samples
 from planner.measurability.matrix import append_rows
 from planner.values import Ints
 
+log = logging.getLogger(__name__)
+
 ROUNDS = 3
 """Selections with raised demands at most."""
 
 MOST_TIMES = 4.0
 """Points of a feature are multiplied by this factor at most; a characteristic that needs more is named."""
 
-_MARGIN = 1.1  # of the needed number of points: samples are measured by whole numbers of views
+_MARGIN = 1.2  # of the needed number of points: samples are measured by whole numbers of views
 _ROWS = 600  # rows that a round adds at most
 
 
@@ -50,16 +53,16 @@ def add_views_for_uncertainty(
     """
     association, known = Association(surface.reference, plan), problem.prediction
     demand: Ints = np.ones(len(surface.reference.faces), dtype=np.int64)
-    given: tuple[str, ...] = ()
     for left in reversed(range(ROUNDS + 1)):
         T = problem.candidates.T_object_scanner[selection.cover.views]
         features = predict_features(association, T, known.scanner, known.casters)
         predicted = predicted_measurements(plan, association, features, np.zeros((len(T), 2)))
-        times = {each.characteristic.name: _needed_times(plan, each) for each in predicted}
+        times = [_needed_times(plan, each) for each in predicted]
+        log.info("%d views; needed times of points: %s", len(T), np.round(times, 2).tolist())
         raised = demand.copy()
-        for each in predicted if left else ():
-            if 1.0 < times[each.characteristic.name] <= MOST_TIMES:
-                _raise_demand(raised, plan, each, features, association, times[each.characteristic.name])
+        for each, factor in zip(predicted, times, strict=True) if left else ():
+            if 1.0 < factor <= MOST_TIMES:
+                _raise_demand(raised, plan, each, features, association, factor)
         if (raised == demand).all():
             break
         new = np.flatnonzero((raised > 1) & (demand == 1))
@@ -67,13 +70,25 @@ def add_views_for_uncertainty(
         problem = _with_rows(problem, surface, new, fresh)
         problem = replace(problem, request=replace(problem.request, demand=demand))
         selection = select_views(problem, rng, start=selection)
-    given = tuple(
-        f"{name}: about {factor:.0f} times as many points would be needed, and views are added for at most "
-        f"{MOST_TIMES:g} times; use a scanner with less noise, or allow a larger [inspection] u_over_t"
-        for name, factor in times.items()
-        if factor > MOST_TIMES
-    )
-    return problem, selection, given
+    return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
+
+
+def _causes(
+    plan: InspectionPlan, predicted: Sequence[Measurement], times: Sequence[float], association: Association,
+    demand: Ints,
+) -> Iterator[str]:  # fmt: skip
+    """Yield a sentence for each characteristic that is not kept."""
+    for each, factor in zip(predicted, times, strict=True):
+        name = each.characteristic.name
+        if factor > MOST_TIMES:
+            yield (
+                f"{name}: about {factor:.0f} times as many points are needed, and views are added for at most "
+                f"{MOST_TIMES:g} times; use a scanner with less noise, or allow a larger u_over_t in [inspection]"
+            )
+        elif factor > 1:
+            surfaces = association.surfaces[each.characteristic.feature]
+            views = int(max(demand[own.triangles].max() for own in surfaces))
+            yield f"{name}: not kept with {views} views of each sample, or all that can measure it"
 
 
 def _needed_times(plan: InspectionPlan, predicted: Measurement) -> float:
