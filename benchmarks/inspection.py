@@ -42,9 +42,10 @@ from planner.values import Floats, Ints
 from tests.step_files import bored_block
 
 SCANS = 200
+STATED = 10  # scans whose uncertainties are evaluated; they hardly differ, and their mean stands for all
 POSE_MM, POSE_DEG = 0.01, 0.003
 LARGER_MM, TILT_DEG, MOVED_MM = 0.1, 0.1, 0.05
-RESOLUTION_DEG = 1.0  # of the rays on planned parts: enough points, and a scan takes a second
+RESOLUTION_DEG = 1.5  # of the rays on planned parts: enough points, and a scan takes a second
 _VIEWS = ((0, 0, 1), (0.5, 0.3, 1), (-0.5, 0.3, 1), (0.1, -0.7, 1), (1, 0, 0.3), (-1, 0, 0.3), (0, 1, 0.3),
           (0, -1, 0.3), (0.4, 0.2, -1), (-0.4, -0.2, -1))  # fmt: skip
 
@@ -133,7 +134,7 @@ def _look(at: Floats, target: Floats) -> Floats:
 
 
 def scan_values(bench: Bench, scans: int, made: TriangleMesh | None = None) -> tuple[Floats, Floats]:
-    """Return values and uncertainties (scans, characteristics) of repeated scans [mm, deg]; NaN without a value.
+    """Return values and stated uncertainties (scans, characteristics) of repeated scans [mm, deg]; NaN without one.
 
     Args:
         bench: part, characteristics and views.
@@ -157,7 +158,7 @@ def scan_values(bench: Bench, scans: int, made: TriangleMesh | None = None) -> t
             of_patch[name].append(back[start : start + len(own)])
             start += len(own)
     off = Disturbance(position=POSE_MM / 1000, rotation=float(np.radians(POSE_DEG)), by_model=True)
-    found = []
+    values, stated = [], []
     for seed in range(scans):
         rng, reported = np.random.default_rng(seed), np.empty_like(points)
         for number, T in enumerate(bench.views):
@@ -171,10 +172,12 @@ def scan_values(bench: Bench, scans: int, made: TriangleMesh | None = None) -> t
                     feature.patches, association.surfaces[feature.name], of_patch[feature.name], strict=True)))
             for feature in bench.plan.features
         }  # fmt: skip
-        evaluated = Evaluation(bench.plan, features, association.nearest, bench.pose_sd, seed).measure_all()
-        found.append([(each.value, each.expanded_uncertainty) for each in evaluated])
-    values, uncertainties = np.moveaxis(np.array(found, dtype=np.float64), 2, 0)
-    return values, uncertainties
+        evaluation = Evaluation(bench.plan, features, association.nearest, bench.pose_sd, seed)
+        values.append(evaluation.values())
+        if seed < STATED:
+            stated.append([each.expanded_uncertainty for each in evaluation.measure_all()])
+    mean = np.mean(np.array(stated, dtype=np.float64), axis=0)
+    return np.array(values), np.tile(mean, (scans, 1))
 
 
 def _observed(error: Floats, *, is_zone: bool) -> float:

@@ -106,6 +106,10 @@ class _Model:
     residual: Floats | None = None
     zone: Callable[[Floats], float] | None = None
 
+    def value(self, g: Floats) -> float:
+        """Return the value of the components [m or rad]."""
+        return float(self.reduce(g)) if self.estimate is None else self.estimate
+
 
 Shapes = Mapping[tuple[str, int], Shape]
 """Fitted shapes by name of the feature and number of the patch."""
@@ -159,27 +163,40 @@ class Evaluation:
 
     def measure(self, characteristic: Characteristic) -> Measurement:
         """Return the measurement of a characteristic."""
-        needed = self.plan.features_of(characteristic)
-        for feature in needed:
-            found = self.features[feature.name]
-            causes = [f"{feature.name}: {doubt}" for doubt in found.doubts]
-            if any(patch.cells is not None and patch.share < _SHARE for patch in found.patches):
-                causes.append(f"{feature.name}: less than {_SHARE:.0%} of its area has points")
-            if not causes and feature.name == characteristic.feature:
-                count = int(self._cells((feature.name, 0)).is_dense.sum())
-                if count < (least := _FORM_CELLS.get(characteristic.kind, 0)):
-                    causes.append(f"{feature.name}: points for {count} means, and its form needs {least}")
-            if causes:
-                return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
-        model = self._model(characteristic)
-        shapes = self._shapes([feature.name for feature in needed])
+        if causes := self._causes(characteristic):
+            return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
+        model, shapes = self._model(characteristic), self._shapes(characteristic)
         g = model.components(shapes)
         scale = 1000.0 if characteristic.unit == "mm" else float(np.degrees(1.0))
-        value = float(model.reduce(g)) if model.estimate is None else model.estimate
-        uncertainty = self._uncertainty(model, shapes, g)
-        value, uncertainty = scale * value, scale * uncertainty
+        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, shapes, g)
         verdict = verdict_of(value, uncertainty, characteristic.lower, characteristic.upper)
         return Measurement(characteristic, value, uncertainty, verdict, model.method)
+
+    def values(self) -> list[float]:
+        """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
+        found = []
+        for each in self.plan.characteristics:
+            value = np.nan
+            if not self._causes(each):
+                model = self._model(each)
+                value = model.value(model.components(self._shapes(each)))
+            found.append((1000.0 if each.unit == "mm" else float(np.degrees(1.0))) * value)
+        return found
+
+    def _causes(self, characteristic: Characteristic) -> list[str]:
+        """Return the reasons why a characteristic has no value."""
+        found = []
+        for feature in self.plan.features_of(characteristic):
+            measured = self.features[feature.name]
+            own = list(measured.doubts)
+            if any(patch.cells is not None and patch.share < _SHARE for patch in measured.patches):
+                own.append(f"less than {_SHARE:.0%} of its area has points")
+            if not own and feature.name == characteristic.feature:
+                count = int(self._cells((feature.name, 0)).is_dense.sum())
+                if count < (least := _FORM_CELLS.get(characteristic.kind, 0)):
+                    own.append(f"points for {count} means, and its form needs {least}")
+            found += [f"{feature.name}: {cause}" for cause in own]
+        return found
 
     # Errors
 
@@ -239,13 +256,12 @@ class Evaluation:
         assert cells is not None, "a feature without points has no value"
         return cells
 
-    def _shapes(self, names: Sequence[str]) -> dict[tuple[str, int], Shape]:
-        found = {}
-        for name in names:
-            for k, patch in enumerate(self.features[name].patches):
-                assert patch.shape is not None, "a feature without points has no value"
-                found[name, k] = patch.shape
-        return found
+    def _shapes(self, characteristic: Characteristic) -> dict[tuple[str, int], Shape]:
+        """Return the fitted shapes of the features of a characteristic."""
+        names = [each.name for each in self.plan.features_of(characteristic)]
+        return {
+            (name, k): self._patch_shape((name, k)) for name in names for k in range(len(self.features[name].patches))
+        }
 
     def _nominal(self, key: tuple[str, int]) -> Shape:
         patch = self._patch(key).patch
@@ -486,7 +502,7 @@ class Evaluation:
 
         if c.kind == "total-runout":
             return _Model(deviations, _range, "range of cell means about the datum axis", (own,))
-        axis = self._datum_shape(datum, self._shapes([datum]))
+        axis = self._datum_shape(datum, self._shapes(c))
         along = radial(axis) if nominal.kind is ShapeKind.PLANE else (points - axis.point) @ axis.axis
         method = f"range of cell means in {_SECTIONS} cross-sections about the datum axis"
         return _Model(deviations, _largest_range(_sections(along)), method, (own,))
