@@ -42,7 +42,7 @@ from planner.values import Floats, Ints
 from tests.step_files import bored_block
 
 SCANS = 200
-STATED = 10  # scans whose uncertainties are evaluated; they hardly differ, and their mean stands for all
+STATED = 10
 POSE_MM, POSE_DEG = 0.01, 0.003
 LARGER_MM, TILT_DEG, MOVED_MM = 0.1, 0.1, 0.05
 RESOLUTION_DEG = 1.5  # of the rays on planned parts: enough points, and a scan takes a second
@@ -133,13 +133,16 @@ def _look(at: Floats, target: Floats) -> Floats:
     return T
 
 
-def scan_values(bench: Bench, scans: int, made: TriangleMesh | None = None) -> tuple[Floats, Floats]:
+def scan_values(
+    bench: Bench, scans: int, made: TriangleMesh | None = None, n_stated: int = STATED
+) -> tuple[Floats, Floats]:
     """Return values and stated uncertainties (scans, characteristics) of repeated scans [mm, deg]; NaN without one.
 
     Args:
         bench: part, characteristics and views.
         scans: number of scans.
         made: surface as built, with the triangles of the part; None is the nominal one.
+        n_stated: scans whose uncertainties are evaluated; they hardly differ, and their mean stands for all.
     """
     mesh, association = made or bench.part, bench.association
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
@@ -174,7 +177,7 @@ def scan_values(bench: Bench, scans: int, made: TriangleMesh | None = None) -> t
         }  # fmt: skip
         evaluation = Evaluation(bench.plan, features, association.nearest, bench.pose_sd, seed)
         values.append(evaluation.values())
-        if seed < STATED:
+        if seed < n_stated:
             stated.append([each.expanded_uncertainty for each in evaluation.measure_all()])
     mean = np.mean(np.array(stated, dtype=np.float64), axis=0)
     return np.array(values), np.tile(mean, (scans, 1))
