@@ -516,7 +516,8 @@ def _zone(kind: str, points: Floats, shape: Shape, steps: int) -> float:
         points = points - ((points - at.point) @ at.axis)[:, None] * at.axis
     elif kind == "straightness":
         along = (points - shape.point) @ shape.axis
-        points = np.column_stack([along, np.zeros(len(along)), shape.distances(points)])
+        off, side = shape.distances(points), np.ptp(along)  # twice, side by side: a line then turns in one plane only
+        points = np.concatenate([np.column_stack([along, np.full(len(along), y), off]) for y in (0.0, side)])
         shape = Shape(ShapeKind.PLANE, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     return fit_extremal(Criterion.ZONE, points, shape, steps).zone
 

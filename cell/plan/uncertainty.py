@@ -15,7 +15,7 @@ from cell.inspect.evaluation import Measurement
 from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import Association, MeasuredFeature
 from cell.inspect.prediction import predict_features, predicted_measurements
-from cell.plan.selection import N_FRESH, Selection, SelectionProblem, measure_rows, select_views
+from cell.plan.selection import N_FRESH, Search, Selection, SelectionProblem, measure_rows, select_views
 from cell.world.measurability import PartSurface
 from planner.geometry.sampling import draw_samples, pick_samples
 from planner.measurability.matrix import append_rows
@@ -69,6 +69,7 @@ def add_views_for_uncertainty(
         demand = raised
         problem = _with_rows(problem, surface, new, fresh)
         problem = replace(problem, request=replace(problem.request, demand=demand))
+        selection = select_views(problem, rng, start=selection, search=Search.CONTINUED)
         selection = select_views(problem, rng, start=selection)
     return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
 

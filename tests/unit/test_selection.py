@@ -97,7 +97,9 @@ def test_triangles_that_demand_several_views_are_measured_by_them() -> None:
     M = Measurability(matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32), samples, 5)
     for views in (2, 4):
         request = replace(problem.request, demand=np.array([views, 1]))
-        found = select_views(replace(problem, M=M, request=request), np.random.default_rng(0))
+        start = select_views(replace(problem, M=M), np.random.default_rng(0))
+        demanding = replace(problem, M=M, request=request)
+        found = select_views(demanding, np.random.default_rng(0), start=start, search=Search.CONTINUED)
         assert len(found.cover.views) == views
         assert not request.allows_swaps
 
