@@ -1,7 +1,7 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; an optional `chart(rows, folder)` draws a
-picture. Seven have subcommands and options (`python -m benchmarks speed --help`), six of them in `benchmarks/methods`.
+picture. Eight have subcommands and options (`python -m benchmarks speed --help`), six of them in `benchmarks/methods`.
 Timings are valid for this machine and this run: compare rows of one run, not rows of different runs.
 """
 
@@ -21,12 +21,15 @@ from rich.table import Table
 
 from cell.cli.failures import report_errors
 
+_HERE = ("golden", "link_shapes", "inspection", "nist_fits")  # studies in this folder
+
 STUDIES = {
     "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
+    "link_shapes": "collision shapes of the KR 16 beside an outline FILE of its links: excess and volume ratio",
     "nist_fits": "fits of FOLDER's points beside reference pairs in the form of NIST: largest differences",
     "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
     "mutation": "seeded small faults in given modules: the share that given tests detect",
@@ -44,6 +47,7 @@ REGISTRY = {
     "fill": "measurability matrix: seconds to fill it and error of the predicted coverage",
     "candidates": "candidate generators: seconds, views and coverable area of the plan of every part",
     "free_poses": "attainable coverage of any pose of the arm, compared with that of the candidates",
+    "pose_search": "views over the effort of the pose search: views, coverage and motion beside processor seconds",
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked lines of sight against float64 brute force; a matrix of 10,000 x 10,000; share of Embree",
     "coverage_requests": "curve, overlap and pose errors: processor seconds and remaining gap",
@@ -129,9 +133,7 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 def run_study(name: str, words: list[str]) -> int:
     """Run a study with its own options; return the exit code."""
-    study = import_module(
-        f"benchmarks.{name}" if name in ("golden", "inspection", "nist_fits") else f"benchmarks.methods.{name}"
-    ).app
+    study = import_module(f"benchmarks.{name}" if name in _HERE else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
     return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 

@@ -164,9 +164,9 @@ class TestQif:
         assert "bonus" in by_name["Position 43"].note
 
     def test_what_is_not_supported_is_named(self, block: Workpiece, tmp_path: Path) -> None:
-        extra = characteristic("Straightness", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
+        extra = characteristic("LineProfile", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
         _, unsupported = self.read(block, tmp_path, bored_block_qif(extra=extra))
-        assert any("Straightness 51" in each and "not supported" in each for each in unsupported)
+        assert any("LineProfile 51" in each and "not supported" in each for each in unsupported)
         assert any("Flatness 52" in each and "1999" in each for each in unsupported)
 
     def test_faces_of_another_part_are_named(self, block: Workpiece, tmp_path: Path) -> None:
