@@ -355,6 +355,7 @@ def select_and_connect(
     if is_searched and choice[1] is start[1]:
         choice = initial = start[0], select_thoroughly(*start, rng)
     searched = f"Poses are not searched: {reason}" if reason else ""
+    n_moved = len(choice[1].cover.views)
     if append is not None and (session.folder.path / FEATURES).is_file():
         with session.stage("uncertainty of the characteristics"):
             choice = _with_certain_features(session, *choice, surface, rng, fresh)
@@ -377,7 +378,9 @@ def select_and_connect(
             if fewer or plan.visible.area < unmoved.visible.area:
                 problem, plan = initial[0], unmoved
         if search is not None:
-            searched = search.sentence(len(plan.cover.views))
+            is_demanding = problem.request.demand is not None
+            searched = search.sentence(n_moved if is_demanding else len(plan.cover.views))
+            searched += " More views keep the uncertainty of the characteristics." if is_demanding else ""
         plan = replace(plan, searched=searched)
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)

@@ -54,6 +54,10 @@ from planner.tour.view_times import least_move_times
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.viewpoints import pick_viewpoints
 
+DEMANDED = 0.6
+"""Share of the coverable samples of features that is measured by the demanded number of views. Their mean number counts,
+and the last samples would cost most views."""
+
 MIN_COST = 1e-6
 """Smallest cost of a view [s]: costs of a cover must be positive."""
 
@@ -175,8 +179,8 @@ class Request:
         costs: (V,) cost of each view [s]; None: the number of views is minimised.
         layer: probabilities of the matrix' entries; None: poses are exact.
         regions: targets of the regions; None without regions.
-        demand: (F,) views that measure each sample on each triangle of the reference; triangles that demand several
-            are covered completely; None without such triangles.
+        demand: (F,) views that measure `DEMANDED` of the samples on each triangle of the reference, where it is above
+            1; None without such triangles.
         order: candidates in visiting order, others are inserted where they cost least; None: any order.
         motion: budget of the search for a motion.
         effort: budget of the search for views.
@@ -491,7 +495,7 @@ def _cover(
     start: Selection | None,
 ) -> Selection:  # fmt: skip
     """Select the fewest or cheapest views for targets, with connected scans if overlap is required."""
-    shares = (*targets.tolist(), *([] if request.demand is None else [1.0]))
+    shares = (*targets.tolist(), *([] if request.demand is None else [DEMANDED]))
     problem = replace(problem, coverage=shares[0], region_coverage=shares if len(shares) > 1 else ())
     if request.overlap is not None:
         budget = cover.scaled_effort(request.effort.constrained_work, problem.matrix.nnz)
