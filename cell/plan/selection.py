@@ -55,8 +55,8 @@ from planner.values import Bools, Floats, Ints
 from planner.viewpoints.viewpoints import pick_viewpoints
 
 DEMANDED = 0.6
-"""Share of the coverable samples of features that is measured by the demanded number of views. Their mean number counts,
-and the last samples would cost most views."""
+"""Share of the coverable samples of features that the demanded number of views measures. Their mean number counts, and
+the last samples would cost most views."""
 
 MIN_COST = 1e-6
 """Smallest cost of a view [s]: costs of a cover must be positive."""
