@@ -26,8 +26,11 @@ log = logging.getLogger(__name__)
 ROUNDS = 3
 """Selections with raised demands at most."""
 
-MOST_TIMES = 4.0
+MOST_TIMES = 2.0
 """Points of a feature are multiplied by this factor at most; a characteristic that needs more is named."""
+
+MISSED = 1.5
+"""Factor of a characteristic of which too little is measured: its samples become rows that two views measure."""
 
 _MARGIN = 1.2  # of the needed number of points: samples are measured by whole numbers of views
 _ROWS = 600  # rows that a round adds at most
@@ -96,7 +99,7 @@ def _needed_times(plan: InspectionPlan, predicted: Measurement) -> float:
     """Return the factor of the number of points that a characteristic needs; 1 if it needs no more."""
     tolerance, uncertainty = predicted.characteristic.tolerance, predicted.expanded_uncertainty
     if predicted.value is None or any(word in predicted.cause for word in ("less than", "only one end")):
-        return MOST_TIMES / 2  # its samples become rows that must be measured
+        return MISSED
     if plan.u_over_t is None or not tolerance or uncertainty is None:
         return 1.0
     ratio = uncertainty / (plan.u_over_t * tolerance)
@@ -111,7 +114,7 @@ def _raise_demand(
     for feature in plan.features_of(predicted.characteristic):
         surfaces = association.surfaces[feature.name]
         for patch, own in zip(features[feature.name].patches, surfaces, strict=True):
-            views = int(np.ceil(times * max(patch.mean_views, 1.0))) if patch.cells is not None else 2
+            views = 2 if times == MISSED else int(np.ceil(times * max(patch.mean_views, 1.0)))
             demand[own.triangles] = np.maximum(demand[own.triangles], views)
 
 
