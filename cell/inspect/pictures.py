@@ -127,7 +127,7 @@ def report_pdf(path: Path, picture: Path, result: InspectionResult) -> None:
         axes = figure.add_axes((0.05, 0.05, 0.9, 0.85))
         axes.imshow(Image.open(picture))
         axes.axis("off")
-        FigureCanvasPdf(figure).print_pdf(pdf)
+        FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]
         for start in range(0, len(rows), _PDF_ROWS):
             figure = Figure(figsize=_A4)
             axes = figure.add_axes((0.03, 0.03, 0.94, 0.94))
@@ -139,8 +139,8 @@ def report_pdf(path: Path, picture: Path, result: InspectionResult) -> None:
             for (row, column), cell in table.get_celld().items():
                 if row and column == len(heading) - 1:
                     cell.set_facecolor(VERDICTS.get(cell.get_text().get_text(), "white") + "60")
-            FigureCanvasPdf(figure).print_pdf(pdf)
+            FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]
         for start in range(0, len(lines), _PDF_LINES):
             figure = Figure(figsize=_A4)
             figure.text(0.05, 0.95, "\n".join(lines[start : start + _PDF_LINES]), size=9, va="top")
-            FigureCanvasPdf(figure).print_pdf(pdf)
+            FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]
