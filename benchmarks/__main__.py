@@ -21,7 +21,7 @@ from rich.table import Table
 
 from cell.cli.failures import report_errors
 
-_HERE = ("golden", "link_shapes", "nist_fits")  # studies in this folder
+_HERE = ("golden", "link_shapes", "inspection", "nist_fits")  # studies in this folder
 
 STUDIES = {
     "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
@@ -31,6 +31,7 @@ STUDIES = {
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
     "link_shapes": "collision shapes of the KR 16 beside an outline FILE of its links: excess and volume ratio",
     "nist_fits": "fits of FOLDER's points beside reference pairs in the form of NIST: largest differences",
+    "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
     "mutation": "seeded small faults in given modules: the share that given tests detect",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
@@ -61,7 +62,6 @@ REGISTRY = {
     "ur_soak": "moves over ur:// with faults and killed clients, compared with the executed commands",
     "kills": "client and controller killed at random moments, then resumed: lost and repeated moves",
     "edits": "random edits of plans and differences of runs: results and refusals, checked independently",
-    "inspection": "predicted and observed uncertainty of 200 scans, as-built errors, error rates of verdicts",
     "locate": "placements found from one scan of a displaced part: error and reported undetermined motions",
     "hand_eye": "mounts from 12 scans of a sphere or a plane: error and reported precision; degenerate sets",
     "plan": "cell plan as a process: stages, memory and prediction error on every part",

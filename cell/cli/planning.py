@@ -258,16 +258,20 @@ def _without(argv: Sequence[str], option: str) -> list[str]:
     "cell diff sim_runs/trial sim_runs/other",
     "cell diff sim_runs/trial sim_runs/other --out diff.html",
     "cell diff sim_runs/trial/executions/0001 sim_runs/trial/executions/0002 --json",
+    "cell diff before.ply after.ply --points-units mm",
     note="A view is kept if the other run has one at the same pose relative to the part, and moved if the other run "
     "has one that measures mostly the same surface from another pose.",
 )
 def diff(
     *,
-    a: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, or of an execution.")],
+    a: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, of an execution, or file of points.")],
     b: Annotated[Path, typer.Argument(help="The other one, of the same kind.")],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.html", help="Page to write: the part coloured by gained and lost surface."),
+    ] = None,
+    points_units: Annotated[
+        str | None, typer.Option("--points-units", metavar="UNIT", help="Unit of two files of points. Never guessed.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -276,6 +280,9 @@ def diff(
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
+    if a.is_file() and b.is_file():
+        _diff_clouds(terminal, a, b, points_units, as_json=as_json)
+        return
     difference = api.diff(a, b, out=out, progress=terminal)
     if as_json:
         print_json(difference.as_json())
@@ -288,6 +295,26 @@ def diff(
         page = [("cell", "diff", a, b, "--out", "diff.html")] if out is None and difference.surface is not None else []
         replay = "cell", "replay", b.parent.parent, "--execution", b.name
         terminal.suggest(*page, ("cell", "scan", b) if difference.kind == "plan" else replay)
+
+
+def _diff_clouds(terminal: "Terminal", a: Path, b: Path, units: str | None, *, as_json: bool) -> None:
+    """Print the difference of two files of points."""
+    from cell.metrology.cloud_diff import compare_clouds
+    from cell.part.workpiece import UNITS
+
+    if units not in UNITS:
+        raise UsageError(f"{a} and {b} do not state their unit; give --points-units with one of {', '.join(UNITS)}")
+    found = compare_clouds(a, b, units)
+    if as_json:
+        print_json(found.as_json())
+        return
+    rows = [
+        ("points", f"{found.points_a:,} in A, {found.points_b:,} in B, spacing of A {found.spacing_mm:.4g} mm"),
+        ("distance of B from A", f"{found.rms_mm:.4f} mm rms, 95 % within {found.quantile_95_mm:.4f} mm, largest "
+                                 f"{found.largest_mm:.4f} mm"),
+        ("only in one", f"{found.only_a:.2%} of A, {found.only_b:.2%} of B"),
+    ]  # fmt: skip
+    terminal.print_table(("", ""), rows)
 
 
 def _print_difference(terminal: "Terminal", difference: "Difference") -> None:

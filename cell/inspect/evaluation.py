@@ -19,7 +19,7 @@ import numpy as np
 from cell.inspect.alignment import datum_frame, moved
 from cell.inspect.features import Characteristic, InspectionPlan, distance_between
 from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch
-from planner.fitting.extremal import Criterion, fit_extremal
+from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal
 from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, Shape, ShapeKind
 from planner.geometry.closest import ClosestPointQuery
 from planner.registration.rigid import transform_points
@@ -28,8 +28,11 @@ from planner.values import Floats, Ints
 RULE = "ISO 14253-1, guard band U (k = 2)"
 DRAWS = 2000
 _LEVEL = 0.9545  # of two standard deviations of a normal distribution
+_FORM_CELLS = {"form": 8, "roundness": 20, "straightness": 24}
 _DIFFERENCE = 1e-7  # of a component of a shape, for derivatives [m, rad]
 _SECTIONS = 5  # cross-sections of roundness and runout
+_LINES = 8  # of the straightness of a cylinder or cone
+_ZONES = 16  # drawn errors whose minimum zones are evaluated
 _SHARE = 0.05  # smallest measured share of a feature with a value
 _AXIAL = ("cylinder", "cone", "circle")
 
@@ -91,6 +94,7 @@ class _Model:
         cells: rows of the components that move with cells: the cells' patch, and the cells.
         estimate: value that replaces that of the components, such as a minimum zone; None without one.
         residual: (m, m) projection of the errors of the cells by a fit to them; None without one.
+        zone: minimum zone of errors (m,) alone [m]; None if `reduce` has the value of errors.
         method: in words.
     """
 
@@ -100,6 +104,11 @@ class _Model:
     cells: tuple[tuple[str, int], ...] = ()
     estimate: float | None = None
     residual: Floats | None = None
+    zone: Callable[[Floats], float] | None = None
+
+    def value(self, g: Floats) -> float:
+        """Return the value of the components [m or rad]."""
+        return float(self.reduce(g)) if self.estimate is None else self.estimate
 
 
 Shapes = Mapping[tuple[str, int], Shape]
@@ -147,7 +156,6 @@ class Evaluation:
     pose_sd: Floats
     seed: int = 0
     _frames: dict[object, Floats] = field(default_factory=dict)
-    _errors: dict[tuple[str, int], Floats] = field(default_factory=dict)
 
     def measure_all(self) -> list[Measurement]:
         """Return the measurements of all characteristics."""
@@ -155,68 +163,88 @@ class Evaluation:
 
     def measure(self, characteristic: Characteristic) -> Measurement:
         """Return the measurement of a characteristic."""
-        needed = self.plan.features_of(characteristic)
-        for feature in needed:
-            found = self.features[feature.name]
-            causes = [f"{feature.name}: {doubt}" for doubt in found.doubts]
-            if any(patch.cells is not None and patch.share < _SHARE for patch in found.patches):
-                causes.append(f"{feature.name}: less than {_SHARE:.0%} of its area has points")
-            if causes:
-                return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
-        model = self._model(characteristic)
-        shapes = self._shapes(needed_names := [feature.name for feature in needed])
+        if causes := self._causes(characteristic):
+            return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
+        model, shapes = self._model(characteristic), self._shapes(characteristic)
         g = model.components(shapes)
         scale = 1000.0 if characteristic.unit == "mm" else float(np.degrees(1.0))
-        value = float(model.reduce(g)) if model.estimate is None else model.estimate
-        uncertainty = self._uncertainty(model, shapes, g, needed_names)
-        value, uncertainty = scale * value, scale * uncertainty
+        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, shapes, g)
         verdict = verdict_of(value, uncertainty, characteristic.lower, characteristic.upper)
         return Measurement(characteristic, value, uncertainty, verdict, model.method)
 
+    def values(self) -> list[float]:
+        """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
+        found = []
+        for each in self.plan.characteristics:
+            value = np.nan
+            if not self._causes(each):
+                model = self._model(each)
+                value = model.value(model.components(self._shapes(each)))
+            found.append((1000.0 if each.unit == "mm" else float(np.degrees(1.0))) * value)
+        return found
+
+    def _causes(self, characteristic: Characteristic) -> list[str]:
+        """Return the reasons why a characteristic has no value."""
+        found = []
+        for feature in self.plan.features_of(characteristic):
+            measured = self.features[feature.name]
+            own = list(measured.doubts)
+            if any(patch.cells is not None and patch.share < _SHARE for patch in measured.patches):
+                own.append(f"less than {_SHARE:.0%} of its area has points")
+            if not own and feature.name == characteristic.feature:
+                count = int(self._cells((feature.name, 0)).is_dense.sum())
+                if count < (least := _FORM_CELLS.get(characteristic.kind, 0)):
+                    own.append(f"points for {count} means, and its form needs {least}")
+            found += [f"{feature.name}: {cause}" for cause in own]
+        return found
+
     # Errors
 
-    def _uncertainty(self, model: _Model, shapes: Shapes, g: Floats, names: Sequence[str]) -> float:
+    def _uncertainty(self, model: _Model, shapes: Shapes, g: Floats) -> float:
         """Return the expanded uncertainty [m or rad]."""
-        drawn = np.zeros((DRAWS, len(g)))
+        gain = self._gain(model, shapes, g)
+        if model.reduce is _first or not gain.any():
+            return 2 * float(np.linalg.norm(gain))
+        # Draws of as few independent errors as there are components.
+        root = np.linalg.qr(gain.T, mode="r")
+        rng = np.random.default_rng([self.seed, len(root)])
+        drawn = rng.standard_normal((DRAWS, len(root))) @ root
+        scale = 1.0
+        if model.zone is not None:  # the minimum zone of errors is narrower than their range
+            some = drawn[:_ZONES]
+            scale = float(np.mean([model.zone(each) for each in some]) / model.reduce(some).mean())
+        spread = 2 * float(model.reduce(g + drawn).std())
+        # Errors alone make a zone or an offset from zero; the measured one contains its own already.
+        return max(spread, scale * float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
+
+    def _gain(self, model: _Model, shapes: Shapes, g: Floats) -> Floats:
+        """Return the change (m, K) of the components by independent errors of unit variance.
+
+        The errors are those of the means of all cells, and of the views' poses, which all patches have in common.
+        """
+        noise, poses, start = [], np.zeros((len(g), 6 * len(self.pose_sd))), 0
         for key, shape in shapes.items():
             cells = self._cells(key)
-            used = list(PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind])
-            if not cells.gain.any():
+            J = np.zeros((len(g), N_COMPONENTS))
+            used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
+            for component in used if cells.gain.any() else ():
+                change = np.zeros(N_COMPONENTS)
+                change[component] = _DIFFERENCE
+                low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
+                J[:, component] = (high - low) / (2 * _DIFFERENCE)
+            poses += J @ cells.shape_lever.reshape(N_COMPONENTS, -1)
+            if key not in model.cells:
+                noise.append(J @ cells.shape_noise)
                 continue
-            J = np.empty((len(g), len(used)))
-            for k, component in enumerate(used):
-                ends = []
-                for step in (-_DIFFERENCE, _DIFFERENCE):
-                    change = np.zeros(N_COMPONENTS)
-                    change[component] = step
-                    ends.append(model.components({**shapes, key: shape.changed(change)}))
-                J[:, k] = (ends[1] - ends[0]) / (2 * _DIFFERENCE)
-            drawn += self._drawn(key) @ cells.gain[used].T @ J.T
-        start = 0
-        for key in model.cells:
-            dense = self._cells(key).is_dense
-            errors = self._drawn(key)[:, dense]
-            drawn[:, start : start + errors.shape[1]] += errors
-            start += errors.shape[1]
-        if model.residual is not None:
-            drawn = drawn @ model.residual.T
-        spread = 2 * float(model.reduce(g + drawn).std())
-        if model.reduce is _first:
-            return spread
-        # Errors alone make a zone or an offset from zero; the measured one contains its own already.
-        return max(spread, float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
-
-    def _drawn(self, key: tuple[str, int]) -> Floats:
-        """Return drawn errors (DRAWS, C) of the cells of a patch; those of a view are common to all patches."""
-        if key not in self._errors:
-            cells = self._cells(key)
-            sd = np.repeat(self.pose_sd, 3, axis=1)
-            poses = np.random.default_rng([self.seed, 0]).standard_normal((DRAWS, *sd.shape)) * sd
-            number = list(self.features).index(key[0])
-            noise = np.random.default_rng([self.seed, 1, number, key[1]]).standard_normal((DRAWS, len(cells.noise)))
-            lever = cells.lever.reshape(len(cells.noise), -1)
-            self._errors[key] = noise * cells.noise + poses.reshape(DRAWS, -1) @ lever.T
-        return self._errors[key]
+            # The errors of the cells and of the shape through them are the same.
+            dense, own = np.flatnonzero(cells.is_dense), J @ cells.gain
+            rows = start + np.arange(len(dense))
+            own[rows, dense] += 1.0
+            noise.append(own * cells.noise)
+            poses[rows] += cells.lever[dense].reshape(len(dense), -1)
+            start += len(dense)
+        gain = np.hstack([*noise, poses * np.repeat(self.pose_sd, 3, axis=1).ravel()])
+        return gain if model.residual is None else model.residual @ gain
 
     # Shapes
 
@@ -228,13 +256,12 @@ class Evaluation:
         assert cells is not None, "a feature without points has no value"
         return cells
 
-    def _shapes(self, names: Sequence[str]) -> dict[tuple[str, int], Shape]:
-        found = {}
-        for name in names:
-            for k, patch in enumerate(self.features[name].patches):
-                assert patch.shape is not None, "a feature without points has no value"
-                found[name, k] = patch.shape
-        return found
+    def _shapes(self, characteristic: Characteristic) -> dict[tuple[str, int], Shape]:
+        """Return the fitted shapes of the features of a characteristic."""
+        names = [each.name for each in self.plan.features_of(characteristic)]
+        return {
+            (name, k): self._patch_shape((name, k)) for name in names for k in range(len(self.features[name].patches))
+        }
 
     def _nominal(self, key: tuple[str, int]) -> Shape:
         patch = self._patch(key).patch
@@ -279,7 +306,7 @@ class Evaluation:
         match c.kind:
             case "size" | "distance" | "angle":
                 return self._dimension(c)
-            case "form" | "roundness":
+            case "form" | "roundness" | "straightness":
                 return self._form(c)
             case "position" | "coaxiality":
                 return self._position(c)
@@ -347,19 +374,25 @@ class Evaluation:
             across = across - (across @ s[own].axis)[:, None] * s[own].axis
             return np.asarray(np.linalg.norm(across, axis=1) - s[own].size)
 
-        if c.kind == "form":
-            zone = fit_extremal(Criterion.ZONE, points, shape).zone
-            return _Model(residuals, _range, "minimum zone of cell means", (own,), zone)
-        sections = _sections((points - shape.point) @ shape.axis)
-        zones = []
-        for k in np.unique(sections):
-            ring = points[sections == k]
-            at = shape.at_foot(ring.mean(axis=0))
-            circle = Shape(ShapeKind.CIRCLE, at.point, at.axis, at.size / np.cos(at.half_angle))
-            ring = ring - ((ring - at.point) @ at.axis)[:, None] * at.axis
-            zones.append(fit_extremal(Criterion.ZONE, ring, circle).zone)
-        method = f"minimum zone of cell means in {len(zones)} cross-sections"
-        return _Model(residuals, _largest_range(sections), method, (own,), max(zones))
+        local = (points - shape.point) @ shape.frame
+        sections, method = np.zeros(len(points), np.int64), "minimum zone of cell means"
+        if c.kind == "roundness":
+            sections, method = _sections(local[:, 2]), f"{method} in {_SECTIONS} cross-sections"
+        elif c.kind == "straightness":
+            sections = np.floor(np.arctan2(local[:, 1], local[:, 0]) / (2 * np.pi / _LINES)).astype(np.int64)
+            method = f"{method} in lines, {360 / _LINES:.0f} deg apart"
+
+        def zone(points: Floats, steps: int) -> float:
+            return max(_zone(c.kind, points[sections == k], shape, steps) for k in np.unique(sections))
+
+        normals = self._cells(own).normals[self._cells(own).is_dense]
+        feet = points - residuals({own: shape})[:, None] * normals
+
+        def zone_of_errors(errors: Floats) -> float:
+            return zone(feet + errors[:, None] * normals, 1)
+
+        measured = zone(points, FULL_STEPS)
+        return _Model(residuals, _largest_range(sections), method, (own,), measured, None, zone_of_errors)
 
     def _position(self, c: Characteristic) -> _Model:
         own, kind = (c.feature, 0), self.features[c.feature].feature.kind
@@ -469,10 +502,24 @@ class Evaluation:
 
         if c.kind == "total-runout":
             return _Model(deviations, _range, "range of cell means about the datum axis", (own,))
-        axis = self._datum_shape(datum, self._shapes([datum]))
+        axis = self._datum_shape(datum, self._shapes(c))
         along = radial(axis) if nominal.kind is ShapeKind.PLANE else (points - axis.point) @ axis.axis
         method = f"range of cell means in {_SECTIONS} cross-sections about the datum axis"
         return _Model(deviations, _largest_range(_sections(along)), method, (own,))
+
+
+def _zone(kind: str, points: Floats, shape: Shape, steps: int) -> float:
+    """Return the minimum zone of the points of a section, or of all for a form [m]."""
+    if kind == "roundness":
+        at = shape.at_foot(points.mean(axis=0))
+        shape = Shape(ShapeKind.CIRCLE, at.point, at.axis, at.size / np.cos(at.half_angle))
+        points = points - ((points - at.point) @ at.axis)[:, None] * at.axis
+    elif kind == "straightness":
+        along = (points - shape.point) @ shape.axis
+        off, side = shape.distances(points), np.ptp(along)  # twice, side by side: a line then turns in one plane only
+        points = np.concatenate([np.column_stack([along, np.full(len(along), y), off]) for y in (0.0, side)])
+        shape = Shape(ShapeKind.PLANE, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    return fit_extremal(Criterion.ZONE, points, shape, steps).zone
 
 
 def _sections(heights: Floats) -> Ints:

@@ -331,6 +331,7 @@ _SUITABLE: dict[str, tuple[str, ...]] = {
     "size": ("cylinder", "sphere", "circle", "cone", "width"),
     "form": ("plane", "cylinder", "cone", "sphere", "circle"),
     "roundness": ("cylinder", "cone"),
+    "straightness": ("cylinder", "cone"),
     "position": ("cylinder", "sphere", "circle", "cone", "width", "plane"),
     "parallelism": ("plane", "cylinder", "cone"),
     "perpendicularity": ("plane", "cylinder", "cone"),

@@ -44,6 +44,7 @@ class MeasuredPoints(Value):
         view: (N,) index of the view of each point.
         origins: (V, 3) scanner of each view, about which its pose is uncertain [m].
         pose_sd: (V, 2) standard deviation of its position along each axis [m] and rotation about each axis [rad].
+        weight: (N,) number of points that each stands for; None: one.
     """
 
     points: Annotated[Floats, "N 3"]
@@ -51,6 +52,7 @@ class MeasuredPoints(Value):
     view: Annotated[Ints, "N"]
     origins: Annotated[Floats, "V 3"]
     pose_sd: Annotated[Floats, "V 2"]
+    weight: Annotated[Floats, "N"] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +66,8 @@ class Cells(Value):
         lever: (C, V, 6) displacement along the normal per translation and rotation of each view.
         gain: (7, C) change of the fitted shape per displacement of a cell along its normal.
         is_dense: (C,) whether a cell has enough points for form.
+        shape_noise: (7, K) change of the fitted shape by independent errors of unit variance of the points.
+        shape_lever: (7, V, 6) change of the fitted shape per translation and rotation of each view.
     """
 
     points: Annotated[Floats, "C 3"]
@@ -72,6 +76,8 @@ class Cells(Value):
     lever: Annotated[Floats, "C V 6"]
     gain: Annotated[Floats, "7 C"]
     is_dense: Annotated[Bools, "C"]
+    shape_noise: Annotated[Floats, "7 K"]
+    shape_lever: Annotated[Floats, "7 V 6"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +95,7 @@ class MeasuredPatch:
         sigma: standard deviation of the points about the shape [m].
         doubts: reasons why the shape is not determined.
         missed: demands on a plan that are not met.
+        mean_views: of the measured surface.
     """
 
     patch: Patch
@@ -101,6 +108,7 @@ class MeasuredPatch:
     sigma: float = 0.0
     doubts: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
+    mean_views: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +195,7 @@ def measure_features(association: Association, measured: MeasuredPoints) -> dict
         feature.name: MeasuredFeature(
             feature,
             tuple(
-                _measure_patch(association, feature, patch, surface, own, measured)
+                measure_patch(association, feature, patch, surface, own, measured)
                 for patch, surface, own in zip(
                     feature.patches, association.surfaces[feature.name], rows[feature.name], strict=True
                 )
@@ -197,7 +205,7 @@ def measure_features(association: Association, measured: MeasuredPoints) -> dict
     }
 
 
-def _measure_patch(
+def measure_patch(
     association: Association,
     feature: Feature,
     patch: Patch,
@@ -205,6 +213,7 @@ def _measure_patch(
     rows: Ints,
     measured: MeasuredPoints,
 ) -> MeasuredPatch:
+    """Fit the shape of a patch to some rows of points, and combine them in cells."""
     shape, corners = patch.shape, association.corners(patch, surface)
     if len(rows) > MAX_POINTS:
         rows = rows[np.linspace(0, len(rows) - 1, MAX_POINTS).astype(np.int64)]
@@ -225,11 +234,12 @@ def _measure_patch(
         cells, sigma = _cells(measured, rows, nominal, normals, off, gain, area), float(np.std(off))
         share = _share(association, surface, measured.points[rows])
         return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma)
-    found = fit_patch(feature, shape, measured.points[rows])
+    weight = measured.weight
+    found = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
     keep = _inliers(found.residuals)
     if not keep.all() and keep.sum() >= needed:
         rows = rows[keep]
-        found = fit_patch(feature, shape, measured.points[rows])
+        found = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
     normals = found.shape.normals(measured.points[rows]) if feature.kind != "circle" else _radial(found, measured, rows)
     gain = np.einsum("knj,nj->kn", found.gain, normals)
     cells = _cells(measured, rows, found.shape, normals, found.residuals, gain, area, found.sigma)
@@ -291,52 +301,58 @@ def _share(association: Association, surface: PatchSurface, points: Floats) -> f
     return float(areas[distance <= reach].sum() / areas.sum())
 
 
-def cells_of_points(count: int) -> int:
-    """Return the number of cells for a number of points of a patch."""
-    return int(min(CELLS, max(count / _CELL_POINTS, 12)))
+def cells_of_points(points: Floats, shape: Shape, size: float) -> tuple[Ints, Ints, Floats]:
+    """Combine points (N, 3) in the cells of a grid in the frame of a shape, in which a plane lies in one layer.
+
+    Returns:
+        (N,) cell of each point, (C,) the point nearest to the middle of each cell, and (C, 3) these middles. On a
+        curved surface a middle lies off the surface.
+    """
+    local = (points - shape.point) @ shape.frame
+    _, cell = np.unique(np.floor(local / size + 0.5).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.ravel()
+    count = np.bincount(cell)
+    middle = np.stack([np.bincount(cell, weights=column) for column in points.T], axis=1) / count[:, None]
+    order = np.lexsort((np.linalg.norm(points - middle[cell], axis=1), cell))
+    return cell, order[np.concatenate([[0], np.cumsum(count)[:-1]])], middle
 
 
 def _cells(
     measured: MeasuredPoints, rows: Ints, shape: Shape, normals: Floats, residuals: Floats, gain: Floats, area: float,
     scatter: float = 0.0,
 ) -> Cells:  # fmt: skip
-    """Combine points in the cells of a grid."""
-    points = measured.points[rows]
-    size = np.sqrt(area / cells_of_points(len(rows)))
+    """Combine the points of a patch in cells."""
+    points, view = measured.points[rows], measured.view[rows]
+    weight = np.ones(len(rows)) if measured.weight is None else measured.weight[rows]
     feet = points - residuals[:, None] * normals
-    local = (feet - shape.point) @ shape.frame  # in which a plane lies in the middle of one layer
-    _, cell = np.unique(np.floor(local / size + 0.5).astype(np.int64), axis=0, return_inverse=True)
-    cell = cell.ravel()
-    count = np.bincount(cell)
-    n_cells, n_views = len(count), len(measured.origins)
+    size = float(np.sqrt(area / min(CELLS, max(weight.sum() / _CELL_POINTS, 12))))
+    cell, first, _ = cells_of_points(feet, shape, size)
+    count, n_views = np.bincount(cell, weights=weight), len(measured.origins)
 
-    def total(values: Floats) -> Floats:
-        return np.bincount(cell, weights=values, minlength=n_cells).astype(np.float64)
+    def mean(values: Floats) -> Floats:
+        return np.asarray(np.bincount(cell, weights=weight * values) / count)
 
-    # The middle of the feet leaves a curved surface; the foot nearest to it does not.
-    middle = np.stack([total(column) for column in feet.T], axis=1) / count[:, None]
-    away = np.linalg.norm(feet - middle[cell], axis=1)
-    order = np.lexsort((away, cell))
-    first = order[np.concatenate([[0], np.cumsum(count)[:-1]])]
-    means = total(residuals) / count
-    sigma = measured.sigma[rows]
-    view = measured.view[rows]
     columns = np.hstack([normals, np.cross(points - measured.origins[view], normals)])
-    of_poses = float(np.mean((columns**2 @ np.repeat(measured.pose_sd.T**2, 3, axis=0))[np.arange(len(rows)), view]))
+    variance = measured.sigma[rows] ** 2
+    of_poses = (columns**2 @ np.repeat(measured.pose_sd.T**2, 3, axis=0))[np.arange(len(rows)), view]
     # Scatter beyond the models of scanner and poses, or in their absence, is noise of the points.
-    known, left = float(np.mean(sigma**2)), max(scatter**2 - of_poses, 0.0)
-    sigma = sigma * max(1.0, np.sqrt(left / known)) if known > 0 else np.full(len(rows), np.sqrt(left))
-    noise = np.sqrt(total(sigma**2)) / count
-    lever = np.zeros((n_cells, n_views, 6))
-    for k in range(6):
-        np.add.at(lever[:, :, k], (cell, view), columns[:, k])
+    known = float(np.average(variance, weights=weight))
+    left = max(scatter**2 - float(np.average(of_poses, weights=weight)), 0.0)
+    variance = variance * max(1.0, left / known) if known > 0 else np.full(len(rows), left)
+    lever = np.zeros((len(count), n_views, 6))
+    np.add.at(lever, (cell, view), weight[:, None] * columns)
+    shape_lever = np.zeros((N_COMPONENTS, n_views, 6))
+    for own, row in zip(shape_lever, gain, strict=True):
+        np.add.at(own, view, row[:, None] * columns)
     return Cells(
-        feet[first] + means[:, None] * normals[first],
+        feet[first] + mean(residuals)[:, None] * normals[first],
         normals[first],
-        noise,
+        np.sqrt(mean(variance) / count),
         lever / count[:, None, None],
-        np.stack([total(row) for row in gain]),
+        np.stack([np.bincount(cell, weights=row) for row in gain]),
         count >= SPARSE * np.median(count),
+        np.asarray(np.linalg.qr((gain * np.sqrt(variance / weight)).T, mode="r")).T,
+        shape_lever,
     )
 
 

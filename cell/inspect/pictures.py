@@ -1,5 +1,6 @@
 """Page and picture of the features of a part, coloured by verdict. Object frame, metres."""
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -7,17 +8,16 @@ import numpy as np
 
 from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import MeasuredFeature
-from cell.inspect.results import InspectionResult, tolerance_text
+from cell.inspect.results import InspectionResult, table_rows, tolerance_text
 from cell.view.packed import Layer, quantised_layer
-from cell.view.palette import rgb
+from cell.view.palette import VERDICTS, rgb
 from cell.view.part_page import draw_numbered, selectable_page, split_vertices
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
-_COLOURS = {
-    "other surface": "#d9dee3", "no tolerance": "#9aa5b1", "pass": "#3f8f5b", "fail": "#c0392b",
-    "undecided": "#e0a030", "not measured": "#7b5ea7",
-}  # fmt: skip
+_COLOURS = {"other surface": "#d9dee3", **VERDICTS}
+_A4 = (11.7, 8.3)  # inches, landscape
+_PDF_ROWS, _PDF_LINES, _PDF_WIDTH = 32, 42, 140  # of a page
 _WORST_FIRST = ("fail", "undecided", "not measured", "pass", "no tolerance")
 
 
@@ -106,3 +106,41 @@ def _deviations(
         ]
         found[own] = 1000 * np.concatenate(off)[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
     return found
+
+
+def report_pdf(path: Path, picture: Path, result: InspectionResult) -> None:
+    """Write a PDF of the results: picture, summary, one row for each characteristic, notes; equal for equal results."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    heading, rows = table_rows(result)
+    simulated = "SIMULATED POINTS. " if result.is_simulated else ""
+    words = [f"{simulated}Points: {result.source}.", f"{result.summary}.", f"Verdicts: {result.rule}.",
+             f"Alignment: {result.alignment}."]  # fmt: skip
+    sentences = [*(f"{each.name}: {each.cause}" for each in result.characteristics if each.cause), *result.notes,
+                 *(f"not supported: {each}" for each in result.unsupported)]  # fmt: skip
+    lines = [line for each in [*words, *sentences] for line in textwrap.wrap(each, _PDF_WIDTH)]
+    with PdfPages(path, metadata={"CreationDate": None, "Title": f"Inspection of {result.part}"}) as pdf:
+        figure = Figure(figsize=_A4)
+        figure.text(0.05, 0.94, f"Inspection of {result.part}", size=16)
+        axes = figure.add_axes((0.05, 0.05, 0.9, 0.85))
+        axes.imshow(Image.open(picture))
+        axes.axis("off")
+        FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]
+        for start in range(0, len(rows), _PDF_ROWS):
+            figure = Figure(figsize=_A4)
+            axes = figure.add_axes((0.03, 0.03, 0.94, 0.94))
+            axes.axis("off")
+            table = axes.table(rows[start : start + _PDF_ROWS], colLabels=heading, loc="upper left", cellLoc="left")
+            table.auto_set_font_size(False)
+            table.set_fontsize(8)
+            table.auto_set_column_width(list(range(len(heading))))
+            for (row, column), cell in table.get_celld().items():
+                if row and column == len(heading) - 1:
+                    cell.set_facecolor(VERDICTS.get(cell.get_text().get_text(), "white") + "60")
+            FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]
+        for start in range(0, len(lines), _PDF_LINES):
+            figure = Figure(figsize=_A4)
+            figure.text(0.05, 0.95, "\n".join(lines[start : start + _PDF_LINES]), size=9, va="top")
+            FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]

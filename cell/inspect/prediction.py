@@ -15,17 +15,17 @@ from scipy.spatial import cKDTree
 from cell.inspect.evaluation import Evaluation, Measurement, Verdict
 from cell.inspect.features import Feature, InspectionPlan, Patch, PatchSurface
 from cell.inspect.measured import (
-    SPARSE,
+    MAX_POINTS,
     Association,
-    Cells,
     MeasuredFeature,
     MeasuredPatch,
+    MeasuredPoints,
     cells_of_points,
-    fit_patch,
+    measure_patch,
 )
-from planner.fitting.shapes import N_COMPONENTS, Shape, ShapeKind
+from planner.fitting.shapes import Shape, ShapeKind
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, draw_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats
@@ -36,7 +36,8 @@ SHARE = 0.5
 ARC_DEG = 180.0
 """Smallest arc of a cylinder or cone that has points."""
 
-_SAMPLES = 600  # of a patch
+_NODES = 1200  # of a patch, four in a cell
+_DRAWN = 20_000  # samples of a patch, which are combined in its nodes
 _SECTORS = 36  # of an arc
 _SEED = 20261126  # of the samples; a plan needs no other
 
@@ -98,59 +99,34 @@ def _predict_patch(
     association: Association, feature: Feature, patch: Patch, surface: PatchSurface, T_object_poses: Floats,
     scanner: Scanner, casters: Sequence[RayCaster], density: PointDensity, rng: np.random.Generator,
 ) -> MeasuredPatch:  # fmt: skip
-    mesh, corners = association.reference, association.corners(patch, surface)
-    own = TriangleMesh(mesh.vertices, mesh.faces[surface.triangles])
-    samples = draw_samples(own, own, _SAMPLES, rng)
-    keep = association.off_edge(surface, samples.points)
-    points, normals = samples.points[keep], samples.normals[keep]
-    area = float(samples.areas[0])
-    some = SurfaceSamples(points, normals, samples.areas[keep], samples.face[keep], samples.planning_face[keep])
-    count, variance = _yield(some, T_object_poses, scanner, casters, density)
-    total = count.sum(axis=1)
-    seen = total > 0
-    share = float(seen.mean())
-    missed = tuple(_missed_demands(patch.shape, points, seen)) if seen.any() else ()
-    nothing = MeasuredPatch(patch, None, None, corners, doubts=("no view of the plan measures it",))
+    own = TriangleMesh(association.reference.vertices, association.reference.faces[surface.triangles])
+    drawn = draw_samples(own, own, _DRAWN, rng)
+    area = float(drawn.areas[0])
+    drawn = pick_samples(drawn, association.off_edge(surface, drawn.points))
+    size = float(np.sqrt(area * len(drawn) / _NODES))
+    frame = patch.shape or Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
+    cell, rows, _ = cells_of_points(drawn.points, frame, size)
+    nodes = replace(pick_samples(drawn, rows), areas=(area * np.bincount(cell)).astype(np.float64))
+    count, variance = _yield(nodes, T_object_poses, scanner, casters, density)
+    weight = nodes.areas[:, None] * count
+    seen = np.asarray((count > 0).any(axis=1))
     if not seen.any():
-        return nothing
-    shape = patch.shape
-    n_points = int(area * total.sum())
-    rows = np.flatnonzero(seen)
-    if (wanted := cells_of_points(n_points)) < len(rows):  # each sample stands for a cell of a scan
-        area *= len(rows) / wanted
-        rows = rows[np.linspace(0, len(rows) - 1, wanted).astype(np.int64)]
-    points, normals, count, variance, total = points[rows], normals[rows], count[rows], variance[rows], total[rows]
-    weights = area * total
-    if shape is not None:
-        points = points - shape.distances(points)[:, None] * shape.normals(points)
+        corners = association.corners(patch, surface)
+        return MeasuredPatch(patch, None, None, corners, doubts=("no view of the plan measures it",))
+    weight *= min(1.0, MAX_POINTS / weight.sum())
+    row, view = np.nonzero(count)
     origins = T_object_poses[:, T_object_poses.shape[1] // 2, :3, 3]
-    gain, doubts, fitted = np.zeros((N_COMPONENTS, len(points))), tuple[str, ...](), shape
-    if shape is not None:
-        if len(points) < N_COMPONENTS:
-            return replace(nothing, doubts=("the plan measures too little of it",))
-        found = fit_patch(feature, shape, points, weights)
-        fitted, doubts = found.shape, found.doubts
-        turned = fitted.normals(points) if feature.kind != "circle" else _across(normals, shape)
-        gain, normals = np.einsum("knj,nj->kn", found.gain, turned), turned
-    else:
-        fitted = Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
-    lever = np.einsum("nv,nvk->nvk", count / total[:, None], _levers(points, normals, origins))
-    noise = np.sqrt((count * variance).sum(axis=1) / area) / total
-    cells = Cells(points, normals, noise, lever, gain, total >= SPARSE * np.median(total))
-    sigma = float(np.sqrt((count * variance).sum() / count.sum()))
-    return MeasuredPatch(patch, fitted, cells, corners, n_points, 0, share, sigma, doubts, missed)
-
-
-def _across(normals: Floats, shape: Shape) -> Floats:
-    flat = normals - (normals @ shape.axis)[:, None] * shape.axis
-    return np.asarray(flat / np.linalg.norm(flat, axis=1, keepdims=True))
-
-
-def _levers(points: Floats, normals: Floats, origins: Floats) -> Floats:
-    """Return the displacement (N, V, 6) along the normals per translation and rotation about each origin (V, 3)."""
-    off = points[:, None, :] - origins[None]
-    repeated = np.broadcast_to(normals[:, None, :], off.shape)
-    return np.concatenate([repeated, np.cross(off, repeated)], axis=2)
+    points = nodes.points
+    if patch.shape is not None:
+        points = points - patch.shape.distances(points)[:, None] * patch.shape.normals(points)
+    measured = MeasuredPoints(
+        points[row], np.sqrt(variance[row, view]), view, origins, np.zeros((len(origins), 2)), weight[row, view]
+    )
+    found = measure_patch(association, feature, patch, surface, np.arange(len(row)), measured)
+    share = float(nodes.areas[seen].sum() / nodes.areas.sum())
+    missed = tuple(_missed_demands(patch.shape, nodes.points, seen, share))
+    mean_views = float((count[seen] > 0).sum(axis=1).mean())
+    return replace(found, n_points=int(weight.sum()), share=share, missed=missed, mean_views=mean_views)
 
 
 def _yield(
@@ -195,15 +171,16 @@ def predicted_measurements(
     return found
 
 
-def _missed_demands(shape: Shape | None, points: Floats, seen: Bools) -> Iterator[str]:
+def _missed_demands(shape: Shape | None, points: Floats, seen: Bools, share: float) -> Iterator[str]:
     """Yield a sentence about each demand on the measured share that is not met.
 
     Args:
         shape: nominal.
         points: (N, 3) of the whole patch [m].
         seen: (N,) whether a view measures each of them.
+        share: of the area.
     """
-    if (share := float(seen.mean())) < SHARE:
+    if share < SHARE:
         yield f"{share:.0%} of it is measured, less than {SHARE:.0%}"
     if shape is None or shape.kind not in (ShapeKind.CYLINDER, ShapeKind.CONE):
         return

@@ -33,6 +33,7 @@ _SURFACES = {
 }
 _KINDS = {
     "Diameter": "size", "Width": "size", "Angle": "angle", "AngleBetween": "angle", "DistanceBetween": "distance",
+    "Straightness": "straightness",
     "Flatness": "form", "Circularity": "roundness", "Cylindricity": "form", "Sphericity": "form", "Conicity": "form",
     "Position": "position", "Parallelism": "parallelism", "Perpendicularity": "perpendicularity",
     "Angularity": "angularity", "SurfaceProfile": "profile", "CircularRunout": "runout",

@@ -80,7 +80,7 @@ def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
     Raises:
         FileError: if it cannot be written.
     """
-    from cell.inspect.pictures import features_picture
+    from cell.inspect.pictures import features_picture, report_pdf
 
     def write(name: str, content: bytes) -> None:
         with atomic_write(folder / name) as path:
@@ -93,6 +93,8 @@ def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
         write("report.md", text.encode())
         with atomic_write(folder / "features.png") as path:
             features_picture(path, done.reference, done.plan, done.result)
+        with atomic_write(folder / "report.pdf") as path:
+            report_pdf(path, folder / "features.png", done.result)
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 

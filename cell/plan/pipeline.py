@@ -14,8 +14,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cell import scanners
 from cell.errors import FileError, UnreachableError, UsageError
+from cell.inspect.features import InspectionPlan
 from cell.inspect.inspection import FEATURES, with_feature_regions
 from cell.inspect.results import markdown
 from cell.part import workpiece
@@ -49,10 +52,11 @@ from cell.plan.selection import (
     select_thoroughly,
     select_with_row_generation,
 )
+from cell.plan.uncertainty import add_views_for_uncertainty
 from cell.report import plots
 from cell.runs.folder import RunFolder
 from cell.runs.run import Run
-from cell.runs.schema import Report
+from cell.runs.schema import Report, parsed
 from cell.scene import settle, validation
 from cell.scene.file import BUILT_IN, scene_from_options
 from cell.scene.model import Scene, with_rest
@@ -351,6 +355,10 @@ def select_and_connect(
     if is_searched and choice[1] is start[1]:
         choice = initial = start[0], select_thoroughly(*start, rng)
     searched = f"Poses are not searched: {reason}" if reason else ""
+    n_moved = len(choice[1].cover.views)
+    if append is not None and (session.folder.path / FEATURES).is_file():
+        with session.stage("uncertainty of the characteristics"):
+            choice = _with_certain_features(session, *choice, surface, rng, fresh)
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:
             choice = initial = select_least_time(*choice, rng)
@@ -361,7 +369,7 @@ def select_and_connect(
 
         problem, plan = choice[0], connect(*choice)
         # A moved view that cannot be connected may be replaced by worse ones than the initial views.
-        if choice[1] is not initial[1] and plan.selection is not choice[1]:
+        if choice[1] is not initial[1] and plan.selection is not choice[1] and problem.request.demand is None:
             try:
                 unmoved = connect(*initial)
             except UnreachableError:  # only the moved views can be connected
@@ -370,11 +378,31 @@ def select_and_connect(
             if fewer or plan.visible.area < unmoved.visible.area:
                 problem, plan = initial[0], unmoved
         if search is not None:
-            searched = search.sentence(len(plan.cover.views))
+            is_demanding = problem.request.demand is not None
+            searched = search.sentence(n_moved if is_demanding else len(plan.cover.views))
+            searched += " More views keep the uncertainty of the characteristics." if is_demanding else ""
         plan = replace(plan, searched=searched)
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)
         return problem, plan
+
+
+def _with_certain_features(
+    session: PlanSession, problem: SelectionProblem, chosen: Selection, surface: PartSurface,
+    rng: np.random.Generator, fresh: np.random.Generator,
+) -> tuple[SelectionProblem, Selection]:  # fmt: skip
+    """Add views for the uncertainty of the characteristics, and note those that are not kept."""
+    path = session.folder.path / FEATURES
+    plan = parsed(InspectionPlan, path.read_bytes(), path)
+    if plan.u_over_t is None or not callable(getattr(problem.prediction.scanner, "sigma", None)):
+        return problem, chosen
+    if not problem.request.allows_swaps:
+        session.note("no views are added for the uncertainty of characteristics: another request concerns the views")
+        return problem, chosen
+    problem, chosen, notes = add_views_for_uncertainty(problem, chosen, surface, plan, rng, fresh)
+    for sentence in notes:
+        session.note(sentence)
+    return problem, chosen
 
 
 @contextmanager

@@ -54,6 +54,10 @@ from planner.tour.view_times import least_move_times
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.viewpoints import pick_viewpoints
 
+DEMANDED = 0.6
+"""Share of the coverable samples of features that the demanded number of views measures. Their mean number counts, and
+the last samples would cost most views."""
+
 MIN_COST = 1e-6
 """Smallest cost of a view [s]: costs of a cover must be positive."""
 
@@ -175,6 +179,8 @@ class Request:
         costs: (V,) cost of each view [s]; None: the number of views is minimised.
         layer: probabilities of the matrix' entries; None: poses are exact.
         regions: targets of the regions; None without regions.
+        demand: (F,) views that measure `DEMANDED` of the samples on each triangle of the reference, where it is above
+            1; None without such triangles.
         order: candidates in visiting order, others are inserted where they cost least; None: any order.
         motion: budget of the search for a motion.
         effort: budget of the search for views.
@@ -184,6 +190,7 @@ class Request:
     costs: Floats | None = None
     layer: ProbabilityLayer | None = None
     regions: RegionGroups | None = None
+    demand: Ints | None = None
     order: tuple[int, ...] | None = None
     motion: MotionBudget = DEFAULT_BUDGET
     effort: Effort = field(default_factory=default_effort)
@@ -203,7 +210,8 @@ class Request:
     def allows_swaps(self) -> bool:
         """Whether a view may be swapped for others that measure the same samples."""
         has_plain_regions = self.regions is None or self.regions.is_plain
-        return self._is_single_cover and has_plain_regions and self.overlap is None and self.order is None
+        is_simple = self.overlap is None and self.order is None and self.demand is None
+        return self._is_single_cover and has_plain_regions and is_simple
 
     @property
     def targets(self) -> Floats:
@@ -432,6 +440,9 @@ def _select(
     )  # fmt: skip
     if request.regions is not None:
         cover_problem = request.regions.apply(cover_problem, M.samples)
+    if request.demand is not None:
+        demand = request.demand[M.samples.face]
+        cover_problem = replace(cover_problem, demand=demand, region=(demand > 1).astype(np.int64))
     if plan.max_views is not None:
         budget = cover.scaled_effort(effort.constrained_work, cover_problem.matrix.nnz)
         known = None if start is None else start.cover.views
@@ -484,10 +495,8 @@ def _cover(
     start: Selection | None,
 ) -> Selection:  # fmt: skip
     """Select the fewest or cheapest views for targets, with connected scans if overlap is required."""
-    has_one_target = len(targets) == 1
-    problem = replace(
-        problem, coverage=float(targets[0]), region_coverage=() if has_one_target else tuple(targets.tolist())
-    )
+    shares = (*targets.tolist(), *([] if request.demand is None else [DEMANDED]))
+    problem = replace(problem, coverage=shares[0], region_coverage=shares if len(shares) > 1 else ())
     if request.overlap is not None:
         budget = cover.scaled_effort(request.effort.constrained_work, problem.matrix.nnz)
         connected = cover.solve(problem, rng=rng, effort_budget=budget)

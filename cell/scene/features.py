@@ -10,7 +10,7 @@ from cell.scene.options import Option
 FeatureKind = Literal["plane", "cylinder", "cone", "sphere", "circle", "width", "surface"]
 Kind = Literal[
     "size", "form", "roundness", "position", "parallelism", "perpendicularity", "angularity", "profile", "distance",
-    "angle", "coaxiality", "runout", "total-runout",
+    "angle", "coaxiality", "runout", "total-runout", "straightness",
 ]  # fmt: skip
 Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[^|\r\n]*$")]
 

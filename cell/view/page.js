@@ -466,6 +466,16 @@ byId("of-curve").hidden = !data.curve;
 if (data.curve) byId("curve").src = data.curve;
 for (const [name, value] of data.rows) { element("dt", name, byId("report")); element("dd", value, byId("report")); }
 byId("of-report").hidden = !data.rows.length;
+byId("of-features").hidden = !data.characteristics.length;
+for (const each of data.characteristics) {
+  const button = element("button", each.name, byId("features"));
+  button.style.borderLeftColor = each.colour;
+  button.onclick = () => {
+    byId("feature").replaceChildren();
+    for (const [name, value] of each.rows) { element("dt", name, byId("feature")); element("dd", value, byId("feature")); }
+    if (each.place) lookAt(inScene(new THREE.Vector3(...each.place)).toArray(), data.camera.part_distance / 3);
+  };
+}
 for (const text of data.next_commands) element("code", command(text), byId("next"));
 byId("of-next").hidden = !data.next_commands.length;
 if (motion) {

@@ -97,6 +97,7 @@ class PageContents:
         motion: times (M,) [s] and joint angles (M, axes) [rad]; None for an arm at home.
         cloud: (P, 3) points, object frame [m].
         rows: names and numbers in the panel.
+        characteristics: with `name`, `colour`, `rows`, and the `place` that a click shows (object frame [m]) or None.
         problems: sentences about errors.
         notes: sentences.
         next_commands: with the placeholders RUN for the run folder and EXECUTION for the execution's name.
@@ -108,6 +109,7 @@ class PageContents:
     motion: tuple[Floats, Floats] | None = None
     cloud: Floats | None = None
     rows: Sequence[tuple[str, str]] = ()
+    characteristics: Sequence[Mapping[str, object]] = ()
     problems: Sequence[str] = ()
     notes: Sequence[str] = ()
     next_commands: Sequence[str] = ()

@@ -28,6 +28,11 @@ MEASURED = "#d9dee3"
 REASONS = (
     VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY, YELLOW, "#5d3a9b", "#7f4f24", "#1b7837", "#e31a8c", "#4d4d4d",
 )  # fmt: skip
+VERDICTS = {
+    "no tolerance": "#9aa5b1", "pass": "#3f8f5b", "fail": "#c0392b", "undecided": "#e0a030", "not measured": "#7b5ea7",
+}  # fmt: skip
+"""Conformity of characteristics."""
+
 LENGTHS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
 """Small to large (viridis)."""
 

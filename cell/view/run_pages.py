@@ -20,7 +20,7 @@ from cell.runs.schema import PlanView, Report
 from cell.scene.model import RegionTargets
 from cell.view.packed import MAX_POINTS, Layer, quantised_layer
 from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page, thin_mesh
-from cell.view.palette import MEASURED, REASONS
+from cell.view.palette import MEASURED, REASONS, VERDICTS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import CellGeometry, cell_of_run, with_ignored_faces
 from cell.view.surface import Canvas, MeasuredSamples, canvas_of, measure_samples, viewing_directions
@@ -269,9 +269,9 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         ("sampled coverage", _format_percent(coverage.sampled)),
         *([("dense coverage", _format_percent(coverage.dense))] if coverage.dense is not None else []),
     ]
-    if done.has("features.json"):
-        features = json.loads((done.folder / "features.json").read_bytes())
-        rows += [(f"{each['name']} ({each['kind']})", _verdict(each)) for each in features["characteristics"]]
+    listed = (
+        _characteristics(json.loads((done.folder / "features.json").read_bytes())) if done.has("features.json") else ()
+    )
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
         rows += [("", deviation.edge_note)] if deviation.edge_note else []
@@ -280,15 +280,34 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         notes.append(_thinning_note(MAX_POINTS, report.n_points, "points"))
     commands = ["cell replay RUN --execution EXECUTION", "cell scan RUN"]
     return PageContents(
-        page_views, (timeline.t, timeline.q), rows=rows, notes=notes, next_commands=commands, folder_depth=2
-    )
+        page_views, (timeline.t, timeline.q), rows=rows, characteristics=listed, notes=notes, next_commands=commands,
+        folder_depth=2,
+    )  # fmt: skip
 
 
-def _verdict(each: Mapping[str, Any]) -> str:
-    """Return value, uncertainty and verdict of a characteristic in words."""
-    if each["value"] is None:
-        return f"{each['verdict']}: {each['cause']}"
-    return f"{each['value']:.4f} ± {each['expanded_uncertainty']:.4f} {each['unit']}, {each['verdict']}"
+def _characteristics(results: Mapping[str, Any]) -> list[Mapping[str, object]]:
+    """Return the characteristics of features.json for the panel."""
+    elements: dict[str, list[Mapping[str, Any]]] = {}
+    for element in results["features"]:
+        elements.setdefault(element["feature"], []).append(element)
+    found = list[Mapping[str, object]]()
+    for each in results["characteristics"]:
+        own, unit = elements[each["feature"]], each["unit"]
+        rows = [("verdict", each["verdict"] + (f": {each['cause']}" if each["cause"] else ""))]
+        if each["value"] is not None:
+            rows.append(("value", f"{each['value']:.4f} ± {each['expanded_uncertainty']:.4f} {unit}"))
+            rows.append(("deviation", f"{each['deviation']:+.4f} {unit} from {each['nominal']:.6g} {unit}"))
+        limits = [f"{limit:.6g}" for limit in (each["lower"], each["upper"]) if limit is not None]
+        rows.append(("limits", f"{' to '.join(limits)} {unit}" if limits else "none"))
+        rows += [
+            ("points", f"{e['n_points']:,} on {e['share']:.0%} of {e['kind']}, sd {e['sd_mm']:.4f} mm") for e in own
+        ]
+        place = own[0]["point_mm"]
+        found.append({
+            "name": f"{each['name']} ({each['kind']})", "colour": VERDICTS[each["verdict"]], "rows": rows,
+            "place": None if place is None else [value / 1000 for value in place],
+        })  # fmt: skip
+    return found
 
 
 def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execution) -> PageSurface:

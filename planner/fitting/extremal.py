@@ -15,7 +15,9 @@ from scipy.optimize import linprog
 from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, SIZE, TILT_X, TILT_Y, Shape, ShapeKind, Z
 from planner.values import Floats
 
-_STEPS = 40
+FULL_STEPS = 40
+"""Linear programs of a search at most; it ends when the shape no longer improves."""
+
 _CRITICAL = 40  # points at either end with which a program starts
 _TRUST = 0.05  # largest first change, as a share of the points' extent
 _DONE = 1e-9  # relative gain of a step that ends the search
@@ -42,13 +44,14 @@ class Extremal:
     zone: float
 
 
-def fit_extremal(criterion: Criterion, points: Floats, start: Shape) -> Extremal:
+def fit_extremal(criterion: Criterion, points: Floats, start: Shape, steps: int = FULL_STEPS) -> Extremal:
     """Return the extremal shape near a start, such as the least-squares fit.
 
     Args:
         criterion: property to optimise. A plane, and a cone, have only a zone.
         points: (N, 3) of a plane, circle (projected onto its plane), sphere, cylinder or cone [m].
         start: shape near the solution.
+        steps: linear programs at most.
     """
     shape, flat = start, start.kind is ShapeKind.CIRCLE
     if flat:  # its cylinder with a fixed axis
@@ -61,7 +64,7 @@ def fit_extremal(criterion: Criterion, points: Floats, start: Shape) -> Extremal
     offset = Z if shape.kind is ShapeKind.PLANE else SIZE  # a change that moves all distances alike
     free = [each for each in PARAMETERS[shape.kind] if each != offset and not (flat and each in (TILT_X, TILT_Y))]
     trust, value = _TRUST, _objective(criterion, shape.distances(local), shape.size)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         candidate = shape.changed(_program(criterion, shape, local, free, trust)).at_foot(np.zeros(3))
         other = _objective(criterion, candidate.distances(local), candidate.size)
         if other < value - _DONE * abs(value) * 1e-3:

@@ -46,6 +46,20 @@ def test_points_of_a_file_are_inspected(run_cell: RunCommand, tmp_path: Path) ->
     with (tmp_path / "checked" / "characteristics.csv").open(newline="") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     assert abs(float(rows["Diameter 42"]["value"]) - 16.5) < 0.05
-    for name in ("report.md", "features.html", "features.png", "features.json", "results.qif"):
+    for name in ("report.md", "report.pdf", "features.html", "features.png", "features.json", "results.qif"):
         assert (tmp_path / "checked" / name).is_file()
     assert "<CharacteristicStatusEnum>FAIL" in (tmp_path / "checked" / "results.qif").read_text()
+
+
+def test_two_clouds_are_compared(run_cell: RunCommand, tmp_path: Path) -> None:
+    """A plane that is 0.2 higher, of which one end is missing."""
+    grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(40.0)), axis=-1).reshape(-1, 2)
+    np.savetxt(tmp_path / "a.xyz", np.column_stack([grid, np.zeros(1600)]))
+    np.savetxt(tmp_path / "b.xyz", np.column_stack([grid[grid[:, 0] < 30], np.full(1200, 0.2)]))
+    assert run_cell("diff", "a.xyz", "b.xyz", cwd=tmp_path).returncode == 2
+    words = ("diff", "a.xyz", "b.xyz", "--points-units", "mm")
+    found = json.loads(run_cell(*words, "--json", cwd=tmp_path, code=0).stdout)
+    assert abs(found["rms_mm"] - 0.2) < 1e-6
+    assert abs(found["only_a"] - 0.15) < 0.03
+    assert found["only_b"] == 0
+    assert "spacing of A 1 mm" in run_cell(*words, cwd=tmp_path, code=0).stdout

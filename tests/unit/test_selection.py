@@ -1,5 +1,6 @@
 """Selection of views: a coverage below 1 also holds on samples that the optimiser has not seen."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -71,8 +72,6 @@ def test_weighted_views_claim_no_more_than_their_target() -> None:
 
     class Weighted(RegionGroups):
         def apply(self, problem: CoverProblem, rows: SurfaceSamples) -> CoverProblem:
-            from dataclasses import replace
-
             return replace(problem, weights=weights)
 
         def shares(self, *_: object) -> np.ndarray:
@@ -86,6 +85,23 @@ def test_weighted_views_claim_no_more_than_their_target() -> None:
     assert probe.cover.covered_area / areas.sum() > 0.8
     assert probe.claimed_coverage == pytest.approx([0.5])
     assert probe.claimed_coverage <= measured
+
+
+def test_triangles_that_demand_several_views_are_measured_by_them() -> None:
+    """Row 0 lies on a triangle that demands two views, and is measured by all candidates; rows 1 to 4 by one each."""
+    problem = _problem(np.ones(5), PlanSettings(coverage=0.4), HeldOut([0.5] * 5))
+    dense = np.eye(5, dtype=bool)
+    dense[0] = True
+    matrix = csr_array(dense)
+    samples = replace(problem.M.samples, face=np.array([0, 1, 1, 1, 1], dtype=np.int32))
+    M = Measurability(matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32), samples, 5)
+    for views in (2, 4):
+        request = replace(problem.request, demand=np.array([views, 1]))
+        start = select_views(replace(problem, M=M), np.random.default_rng(0))
+        demanding = replace(problem, M=M, request=request)
+        found = select_views(demanding, np.random.default_rng(0), start=start, search=Search.CONTINUED)
+        assert len(found.cover.views) == views
+        assert not request.allows_swaps
 
 
 def _half_covered(share: float) -> Cover:

@@ -1,0 +1,131 @@
+"""Views for the uncertainty of characteristics: samples on their features become rows that demand several views.
+
+The uncertainty of a mean falls with the root of the number of points, and that of a pose error with the root of the
+number of views. A characteristic with U above its limit therefore raises the number of views that its samples demand,
+and the views are selected again with all rows.
+"""
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cell.inspect.evaluation import Measurement
+from cell.inspect.features import InspectionPlan
+from cell.inspect.measured import Association, MeasuredFeature
+from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.plan.selection import N_FRESH, Search, Selection, SelectionProblem, measure_rows, select_views
+from cell.world.measurability import PartSurface
+from planner.geometry.sampling import draw_samples, pick_samples
+from planner.measurability.matrix import append_rows
+from planner.values import Ints
+
+log = logging.getLogger(__name__)
+
+ROUNDS = 3
+"""Selections with raised demands at most."""
+
+MOST_TIMES = 2.0
+"""Points of a feature are multiplied by this factor at most; a characteristic that needs more is named."""
+
+MISSED = 1.5
+"""Factor of a characteristic of which too little is measured: its samples become rows that two views measure."""
+
+_MARGIN = 1.2  # of the needed number of points: samples are measured by whole numbers of views
+_ROWS = 600  # rows that a round adds at most
+
+
+def add_views_for_uncertainty(
+    problem: SelectionProblem, selection: Selection, surface: PartSurface, plan: InspectionPlan,
+    rng: np.random.Generator, fresh: np.random.Generator,
+) -> tuple[SelectionProblem, Selection, tuple[str, ...]]:  # fmt: skip
+    """Select views again until the predicted uncertainty of every characteristic is within its limit.
+
+    Args:
+        problem: candidates and request, for which `Request.allows_swaps` holds.
+        selection: views that answer the request.
+        surface: the part.
+        plan: features and characteristics.
+        rng: randomness of the selection.
+        fresh: draws the added samples.
+
+    Returns:
+        The problem with its rows and demands, the views, and a sentence for each characteristic that no reasonable
+        number of views keeps.
+    """
+    association, known = Association(surface.reference, plan), problem.prediction
+    demand: Ints = np.ones(len(surface.reference.faces), dtype=np.int64)
+    for left in reversed(range(ROUNDS + 1)):
+        T = problem.candidates.T_object_scanner[selection.cover.views]
+        features = predict_features(association, T, known.scanner, known.casters)
+        predicted = predicted_measurements(plan, association, features, np.zeros((len(T), 2)))
+        times = [_needed_times(plan, each) for each in predicted]
+        log.info("%d views; needed times of points: %s", len(T), np.round(times, 2).tolist())
+        raised = demand.copy()
+        for each, factor in zip(predicted, times, strict=True) if left else ():
+            if 1.0 < factor <= MOST_TIMES:
+                _raise_demand(raised, plan, each, features, association, factor)
+        if (raised == demand).all():
+            break
+        new = np.flatnonzero((raised > 1) & (demand == 1))
+        demand = raised
+        problem = _with_rows(problem, surface, new, fresh)
+        problem = replace(problem, request=replace(problem.request, demand=demand))
+        selection = select_views(problem, rng, start=selection, search=Search.CONTINUED)
+        selection = select_views(problem, rng, start=selection)
+    return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
+
+
+def _causes(
+    plan: InspectionPlan, predicted: Sequence[Measurement], times: Sequence[float], association: Association,
+    demand: Ints,
+) -> Iterator[str]:  # fmt: skip
+    """Yield a sentence for each characteristic that is not kept."""
+    for each, factor in zip(predicted, times, strict=True):
+        name = each.characteristic.name
+        if factor > MOST_TIMES:
+            yield (
+                f"{name}: about {factor:.0f} times as many points are needed, and views are added for at most "
+                f"{MOST_TIMES:g} times; use a scanner with less noise, or allow a larger u_over_t in [inspection]"
+            )
+        elif factor > 1:
+            surfaces = association.surfaces[each.characteristic.feature]
+            views = int(max(demand[own.triangles].max() for own in surfaces))
+            yield f"{name}: not kept with {views} views of each sample, or all that can measure it"
+
+
+def _needed_times(plan: InspectionPlan, predicted: Measurement) -> float:
+    """Return the factor of the number of points that a characteristic needs; 1 if it needs no more."""
+    tolerance, uncertainty = predicted.characteristic.tolerance, predicted.expanded_uncertainty
+    if predicted.value is None or any(word in predicted.cause for word in ("less than", "only one end")):
+        return MISSED
+    if plan.u_over_t is None or not tolerance or uncertainty is None:
+        return 1.0
+    ratio = uncertainty / (plan.u_over_t * tolerance)
+    return _MARGIN * ratio**2 if ratio > 1 else 1.0
+
+
+def _raise_demand(
+    demand: Ints, plan: InspectionPlan, predicted: Measurement, features: Mapping[str, MeasuredFeature],
+    association: Association, times: float,
+) -> None:  # fmt: skip
+    """Raise the demand (F,) of the triangles of the features of a characteristic."""
+    for feature in plan.features_of(predicted.characteristic):
+        surfaces = association.surfaces[feature.name]
+        for patch, own in zip(features[feature.name].patches, surfaces, strict=True):
+            views = 2 if times == MISSED else int(np.ceil(times * max(patch.mean_views, 1.0)))
+            demand[own.triangles] = np.maximum(demand[own.triangles], views)
+
+
+def _with_rows(
+    problem: SelectionProblem, surface: PartSurface, faces: Ints, fresh: np.random.Generator
+) -> SelectionProblem:
+    """Return the problem with fresh samples on some triangles of the reference as rows."""
+    pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
+    own = np.flatnonzero(np.isin(pool.face, faces))
+    own = own[:: 1 + len(own) // _ROWS]
+    if not len(own):
+        return problem
+    rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, own))
+    return replace(problem, M=append_rows(problem.M, rows, problem.prediction.samples))
