@@ -303,12 +303,15 @@ def hand_eye(
     "cell emulate modbus --port 5020 --time-scale 10",
     "cell emulate modbus --run sim_runs/trial --plant mujoco",
     "cell emulate ur --run sim_runs/ur5e",
+    "cell emulate kvp --port 7000",
     "cell emulate modbus-rtu --faults drop=0.01,delay=0.02:0.3,estop@12.5 --seed 4 --log moves.jsonl",
     note="The first line on stdout is the driver URL: cell scan sim_runs/trial --driver URL. Ctrl-C ends it.",
 )
 def emulate(
     *,
-    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu|ur", help="Protocol of the controller.")],
+    protocol: Annotated[
+        str, typer.Argument(metavar="serial|modbus|modbus-rtu|ur|kvp", help="Protocol of the controller.")
+    ],
     options: EmulateOptions,
 ) -> None:
     """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
@@ -316,10 +319,12 @@ def emulate(
 
     if protocol not in emulator.PROTOCOLS:
         raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")
-    if options.link is not None and protocol in ("modbus", "ur"):
+    if options.link is not None and protocol in emulator.ON_A_PORT:
         raise UsageError(f"--link is for pseudo-terminals; cell emulate {protocol} has --port")
-    if options.port and protocol not in ("modbus", "ur"):
-        raise UsageError(f"--port is for cell emulate modbus and ur; cell emulate {protocol} has --link")
+    if options.port and protocol not in emulator.ON_A_PORT:
+        raise UsageError(
+            f"--port is for cell emulate {', '.join(emulator.ON_A_PORT)}; cell emulate {protocol} has --link"
+        )
     arm = emulator.load_arm(options.run, options.plant)
     emulator.emulate(protocol, options, arm, lambda url: _announce(url, options.run, options.time_scale))
 

@@ -24,6 +24,7 @@ from drivers.clock import RealTimeClock
 from drivers.contract import Fault, RobotState
 from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
+from drivers.emulated.kvp import KukaController, KvpStation
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
 from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.emulated.ur import UrController, UrServer
@@ -32,7 +33,8 @@ from drivers.limits import Limits
 from drivers.setpoints import AXES, Floats, SetPoints, from_rad, to_rad
 from drivers.simulated_controller import IdealPlant, PlantFactory
 
-PROTOCOLS = ("serial", "modbus", "modbus-rtu", "ur")
+PROTOCOLS = ("serial", "modbus", "modbus-rtu", "ur", "kvp")
+ON_A_PORT = ("modbus", "ur", "kvp")
 UR_SCRIPT_OFFSET = 2  # of the script port below the RTDE port, as on a real controller
 SCHEMA = "cell-emulator-state/1"
 
@@ -74,6 +76,9 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
     injector = Injector(faults, np.random.default_rng(options.seed)) if options.faults else None
+    if protocol == "kvp":
+        _emulate_kvp(options, arm, injector, announce)
+        return
     memory = Memory(options.state, options.log)
     home = arm.home.copy()
     if options.start_deg is not None:
@@ -114,12 +119,36 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         memory.close(state)
 
 
+def _emulate_kvp(options: EmulateOptions, arm: Arm, injector: Injector | None, announce: Callable[[str], None]) -> None:
+    """Serve a KUKA controller with the variables of its KRL program until Ctrl-C."""
+    _refuse_options("kvp", options, ("link", "baud", "unit", "plant", "state", "time_scale"))
+    home = arm.home if options.start_deg is None else np.append(np.radians(options.start_deg), arm.home[AXES:])
+    clock, memory = RealTimeClock(), Memory(None, options.log)
+    controller = KukaController(to_rad(from_rad(home)), arm.limits, clock, memory)
+    try:
+        line = TcpLine(options.port)
+    except DriverError as error:
+        raise DriverFailureError(str(error)) from error
+    server = Server(KvpStation(controller), line, clock, injector)
+    try:
+        announce(f"kvp://{line.name}")
+        server.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
+    except KeyboardInterrupt:
+        pass  # the usual end
+    finally:
+        line.close()
+
+
+def _refuse_options(protocol: str, options: EmulateOptions, names: tuple[str, ...]) -> None:
+    default = EmulateOptions()
+    for name in names:
+        if getattr(options, name) != getattr(default, name):
+            raise UsageError(f"cell emulate {protocol} has no --{name.replace('_', '-')}; omit it")
+
+
 def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], None]) -> None:
     """Serve a controller of Universal Robots until Ctrl-C."""
-    default = EmulateOptions()
-    for name in ("link", "baud", "unit", "plant", "state", "log", "time_scale", "faults"):
-        if getattr(options, name) != getattr(default, name):
-            raise UsageError(f"cell emulate ur has no --{name.replace('_', '-')}; omit it")
+    _refuse_options("ur", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale", "faults"))
     if len(arm.home) != AXES:
         raise UsageError(
             "cell emulate ur: a controller of Universal Robots turns no rotary table; choose another --run"
