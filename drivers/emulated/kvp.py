@@ -202,7 +202,7 @@ class KukaController:
         if state == seen:
             return
         axes = from_rad(self._reference.sample(np.array([self._elapsed]))[0][0]).tolist()
-        if state.BOOT != seen["BOOT"]:
+        if seen["BOOT"] != state.BOOT:
             self._record("start", axes=axes)
         if state.RUNNING not in (0, seen["RUNNING"]):
             self.moves += 1
