@@ -3,7 +3,7 @@
     planning      plan, setups, edit, why, diff
     inspection    check, part, robot, sensors, view, replay, export
     features      features, inspect
-    execution     scan, explore, locate, calibrate hand-eye, emulate
+    execution     scan, explore, locate, calibrate hand-eye, controller, emulate
     study         place, study ...
 
 Commands import heavy modules inside their functions, so that `--help` answers at once.

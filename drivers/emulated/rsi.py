@@ -38,7 +38,8 @@ class RsiController:
     Attributes:
         url: of a driver for it.
         driven: executed axes [deg], one row for each cycle in which they changed.
-        sessions: number of ended sessions by cause.
+        ended: number of ended sessions by cause.
+        cycle_ms: 4 or 12.
         late: late and wrong answers of the current session.
         is_stopped: whether the emergency stop is pressed: RSI is ended, and no telegram is sent.
     """
@@ -61,7 +62,7 @@ class RsiController:
         self._client = LOOPBACK, port or _free_port()
         self.url = f"rsi://{LOOPBACK}:{self._client[1]}"
         self._limits, self._clock, self._injector = limits, clock, injector
-        self._cycle_ms = cycle_ms
+        self.cycle_ms = cycle_ms
         self.axes = np.degrees(q)
         self.driven: list[Floats] = []
         self.ended = {"client": 0, "timeout": 0, "emergency stop": 0}
@@ -90,7 +91,7 @@ class RsiController:
             action()
         self._later = [item for item in self._later if item[0] > now]
         if now >= self._due:
-            self._due = max(self._due + self._cycle_ms / 1000.0, now - self._cycle_ms / 1000.0)
+            self._due = max(self._due + self.cycle_ms / 1000.0, now - self.cycle_ms / 1000.0)
             self._send()
 
     def emergency_stop(self, pressed: bool = True) -> None:
@@ -108,7 +109,7 @@ class RsiController:
             self.late, self.total_late = self.late + 1, self.total_late + 1
             if self.late > rsi.TIMEOUT_CYCLES:
                 self._end("timeout")
-        self._ipoc, self._is_answered = self._ipoc + self._cycle_ms, False
+        self._ipoc, self._is_answered = self._ipoc + self.cycle_ms, False
         if not self.is_stopped:
             self._transmit("request", rsi.telegram(self._ipoc, self.axes, self.late), self._deliver)
 

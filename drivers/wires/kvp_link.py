@@ -109,7 +109,7 @@ class KvpLine:
             verb = "read" if value is None else "write"
             raise ProtocolError(
                 f"{self.name} cannot {verb} {name}; put {kvp_program.NAME}.src and .dat on the controller "
-                "(cell export --format kvp)"
+                "(cell controller kvp)"
             )
         return text.strip()
 

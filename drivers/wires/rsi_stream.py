@@ -2,8 +2,9 @@
 
 It holds the interpolator (`drivers.simulated_controller`): the path of a move is sampled once for each telegram, so
 time passes with the telegrams, and a position of the arm is never skipped. Telegrams that wait while a newer one has
-arrived would be answered late, and are left out. For each the arm has stood still for a cycle; the path then goes on
-from where it was, from rest to full speed within `RAMP` seconds.
+arrived would be answered late, and are left out. After one of them, or an answer that the controller counts as late,
+the arm has stood still for a cycle; the path then goes on from where it was, from rest to full speed within `RAMP`
+seconds.
 
 The client commands over a connection of its own; its end, also by a kill, is a stop: the arm brakes on its path, then
 RSI is ended.
@@ -151,9 +152,11 @@ class Stream:
         self._cycle_ms = min(self._cycle_ms or passed, passed) or self._cycle_ms
         missed = passed // self._cycle_ms - 1 if self._cycle_ms and self._heard else 0
         if missed > 0:
-            self._late, self._rate = self._late + missed, 0.0
+            self._late += missed
             if missed >= rsi.TIMEOUT_CYCLES:
                 self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
+        if missed > 0 or telegram.late > self._counted:
+            self._rate = 0.0
         self._counted = telegram.late
         self._last, self._heard, self._arm.actual = telegram.ipoc, time.monotonic(), axes
         cycle = self._cycle_ms / 1000.0
