@@ -1,4 +1,4 @@
-"""Commands that show things: `cell check`, `part`, `robot`, `sensors`, `view`, `replay` and `export`."""
+"""Commands that show things: `cell check`, `part`, `robot`, `sensors`, `view`, `replay`, `points`, `export`."""
 
 import sys
 import tempfile
@@ -280,6 +280,25 @@ def replay(
     if text := api.replay(run, options, progress=Terminal()):
         sys.stdout.write(f"{text}\n")
     Terminal(quiet_stdout=True).suggest(("cell", "scan" if options.execution is None else "why", run))
+
+
+@command(
+    "cell points sim_runs/trial trial.e57",
+    "cell points sim_runs/trial surface.glb --execution 0001",
+    note="e57, ptx, las, laz, pcd, csv: points; ply, stl, obj, glb: surface (docs/execution.md). E57, LAS and LAZ need "
+    "pip install 'scan-cell[points]'.",
+)
+def points(
+    *,
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="File to write; its suffix is the format.")],
+    execution: Annotated[str, typer.Option(help="Execution, by its id.")] = "latest",
+) -> None:
+    """Write the points or the surface of an execution for other programs, with their deviation from the part."""
+    from cell import api
+
+    count = api.points(run, out, execution)
+    sys.stdout.write(f"{out}: {count:,} points\n")
 
 
 @command(
