@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
 from cell.files import atomic_write
@@ -128,10 +129,11 @@ def _surface(recorded: RecordedExecution, kind: str) -> tuple[int, Callable[[Pat
     return len(vertex), lambda path: mesh.export(path, file_type=kind[1:])
 
 
-def _colours(deviation: Floats) -> Floats:
-    """Return the colours (V, 3) of deviations, 0 to 255, on a scale that holds most of them."""
+def _colours(deviation: Floats) -> NDArray[np.uint8]:
+    """Return the colours (V, 4) of deviations on a scale that holds most of them."""
     from matplotlib.colors import LinearSegmentedColormap
 
     largest = max(float(np.quantile(np.abs(deviation), _FULL_COLOUR)), 1e-6)
     scale = LinearSegmentedColormap.from_list("deviation", SIGNED)
-    return np.asarray(np.round(scale(0.5 + 0.5 * deviation / largest)[:, :3] * 255.0))
+    colours: NDArray[np.uint8] = np.round(scale(0.5 + 0.5 * deviation / largest) * 255.0).astype(np.uint8)
+    return colours
