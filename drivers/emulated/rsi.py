@@ -69,7 +69,7 @@ class RsiController:
         self.is_stopped = False
         self.late = self.total_late = 0
         self._base, self._is_attached, self._is_answered = self.axes.copy(), False, True
-        self._ipoc, self._due = 1000, clock.now()
+        self._ipoc, self._due, self._n_lost = 1000, clock.now(), 0
         self._later: list[tuple[float, Callable[[], None]]] = []
 
     def serve(self, until: Callable[[], bool]) -> None:
@@ -100,6 +100,14 @@ class RsiController:
         if pressed:
             self._end("emergency stop")
 
+    def pause(self, seconds: float) -> None:
+        """Send no telegram for some time."""
+        self._due += seconds
+
+    def lose_answers(self, count: int) -> None:
+        """Lose the next answers."""
+        self._n_lost = count
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
@@ -124,6 +132,9 @@ class RsiController:
             return
         if ipoc != self._ipoc or self._is_answered or self.is_stopped:
             return  # late, or a copy
+        if self._n_lost:
+            self._n_lost -= 1
+            return
         if is_end:
             self._end("client")
             return

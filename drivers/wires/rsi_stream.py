@@ -4,7 +4,8 @@ It holds the interpolator (`drivers.simulated_controller`): the path of a move i
 time passes with the telegrams, and a position of the arm is never skipped. Telegrams that wait while a newer one has
 arrived would be answered late, and are left out. After one of them, or an answer that the controller counts as late,
 the arm has stood still for a cycle; the path then goes on from where it was, from rest to full speed within `RAMP`
-seconds.
+seconds. Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered
+any more: corrections count from the axes at the beginning of RSI.
 
 The client commands over a connection of its own; its end, also by a kill, is a stop: the arm brakes on its path, then
 RSI is ended.
@@ -155,6 +156,11 @@ class Stream:
             self._late += missed
             if missed >= rsi.TIMEOUT_CYCLES:
                 self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
+        if telegram.late < self._counted:
+            self._fail("the controller has started RSI again")
+        if self._arm.failure:  # corrections of an ended session would be wrong in a new one
+            self._last, self._arm.actual = telegram.ipoc, axes
+            return
         if missed > 0 or telegram.late > self._counted:
             self._rate = 0.0
         self._counted = telegram.late
