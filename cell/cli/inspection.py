@@ -321,7 +321,7 @@ def export(
     terminal = Terminal(quiet_stdout=as_json)
     has_setups = (run / "setups.json").is_file()
     outcome = api.export(run, options, progress=terminal)
-    if outcome.format not in ("csv", "json"):
+    if outcome.format not in ("csv", "json", "ros"):
         terminal.note(
             "before this program runs on a robot, check axes, tool, signals and cell (docs/export.md), and run it at "
             "reduced speed"
