@@ -1,7 +1,7 @@
 """An emulated KUKA controller with RSI on the loopback interface: it sends telegrams and adds their answers.
 
 As on a real controller it owns the clock, rejects late and wrong answers, holds the last correction, and ends RSI after
-`TIMEOUT_CYCLES` late answers or at the client's word. The emulated person then starts its program again at once: the
+`TIMEOUT_CYCLES` late answers in a row or at the client's word. The emulated person then starts its program again at once: the
 corrections begin at zero where the arm is.
 """
 
@@ -67,7 +67,7 @@ class RsiController:
         self.driven: list[Floats] = []
         self.ended = {"client": 0, "timeout": 0, "emergency stop": 0}
         self.is_stopped = False
-        self.late = self.total_late = 0
+        self.late = self._n_silent = 0
         self._base, self._is_attached, self._is_answered = self.axes.copy(), False, True
         self._ipoc, self._due, self._n_lost = 1000, clock.now(), 0
         self._later: list[tuple[float, Callable[[], None]]] = []
@@ -114,8 +114,8 @@ class RsiController:
 
     def _send(self) -> None:
         if self._is_attached and not self._is_answered and not self.is_stopped:
-            self.late, self.total_late = self.late + 1, self.total_late + 1
-            if self.late > rsi.TIMEOUT_CYCLES:
+            self.late, self._n_silent = self.late + 1, self._n_silent + 1
+            if self._n_silent > rsi.TIMEOUT_CYCLES:
                 self._end("timeout")
         self._ipoc, self._is_answered = self._ipoc + self.cycle_ms, False
         if not self.is_stopped:
@@ -138,7 +138,7 @@ class RsiController:
         if is_end:
             self._end("client")
             return
-        self._is_answered = self._is_attached = True
+        self._is_answered, self._is_attached, self._n_silent = True, True, 0
         low, high = self._limits.lower / PER_DEGREE, self._limits.upper / PER_DEGREE
         axes = np.clip(self._base + corrections, low, high)
         if (axes != self.axes).any():
@@ -148,7 +148,7 @@ class RsiController:
     def _end(self, cause: str) -> None:
         if self._is_attached:
             self.ended[cause] += 1
-        self._base, self._is_attached, self.late = self.axes.copy(), False, 0
+        self._base, self._is_attached, self.late, self._n_silent = self.axes.copy(), False, 0, 0
 
     def _transmit(self, direction: str, data: bytes, arrive: Callable[[bytes], None]) -> None:
         if self._injector is None:
