@@ -1,7 +1,7 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; an optional `chart(rows, folder)` draws a
-picture. Seven have subcommands and options (`python -m benchmarks speed --help`), six of them in `benchmarks/methods`.
+picture. Eight have subcommands and options (`python -m benchmarks speed --help`), six of them in `benchmarks/methods`.
 Timings are valid for this machine and this run: compare rows of one run, not rows of different runs.
 """
 
@@ -21,12 +21,15 @@ from rich.table import Table
 
 from cell.cli.failures import report_errors
 
+_HERE = ("golden", "link_shapes", "nist_fits")  # studies in this folder
+
 STUDIES = {
     "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
+    "link_shapes": "collision shapes of the KR 16 beside an outline FILE of its links: excess and volume ratio",
     "nist_fits": "fits of FOLDER's points beside reference pairs in the form of NIST: largest differences",
     "mutation": "seeded small faults in given modules: the share that given tests detect",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
@@ -129,7 +132,7 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 def run_study(name: str, words: list[str]) -> int:
     """Run a study with its own options; return the exit code."""
-    study = import_module(f"benchmarks.{name}" if name in ("golden", "nist_fits") else f"benchmarks.methods.{name}").app
+    study = import_module(f"benchmarks.{name}" if name in _HERE else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
     return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 

@@ -15,6 +15,7 @@ import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.triangle_cell import polytope
 from cell.part import workpiece
 from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
@@ -136,6 +137,8 @@ def _fcl_shape(world: World, geom: int) -> fcl.CollisionObject:
         case mujoco.mjtGeom.mjGEOM_PLANE:
             return fcl.CollisionObject(fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
         case _:
-            faces = np.column_stack([np.full(len(world.part_hull.faces), 3), world.part_hull.faces])
-            hull = fcl.Convex(np.array(world.part_hull.vertices), len(faces), faces.astype(np.int32).ravel())
+            is_part = world.entities[geom] == "part"
+            solid = world.part_hull if is_part else polytope(world.model, geom)
+            faces = np.column_stack([np.full(len(solid.faces), 3), solid.faces])
+            hull = fcl.Convex(np.array(solid.vertices), len(faces), faces.astype(np.int32).ravel())
             return fcl.CollisionObject(hull)

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.configurations_beside_part import configurations
 from benchmarks.parts import meshes
+from benchmarks.triangle_cell import polytope
 from cell.part import workpiece
 from cell.part.builtin import NAMES
 from cell.part.workpiece import Workpiece
@@ -230,6 +231,9 @@ def _fcl_shapes(world: World, geom: int) -> list[fcl.CollisionObject]:
     size = world.model.geom_size[geom]
     if world.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         return [fcl.CollisionObject(fcl.Box(*(2 * size)))]
+    if world.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        solid = polytope(world.model, geom)
+        return [fcl.CollisionObject(_bvh(solid.vertices, solid.faces))]
     found = []
     for radius in (size[0] / np.cos(np.pi / _SIDES), size[0]):
         prism = trimesh.creation.cylinder(radius, 2 * size[1], sections=_SIDES)

@@ -1,7 +1,7 @@
 """Independent check of motions: triangles of part, tool and arm in python-fcl, moved by the joints' exponentials.
 
-Boxes are twelve triangles, cylinders circumscribed prisms of 96 sides, the part and mesh fixtures their own faces: no
-hulls, no clearance, no travel bound, and none of MuJoCo's kinematics or collision routines. Only the poses of the
+Boxes are twelve triangles, cylinders circumscribed prisms of 96 sides, polytopes, the part and mesh fixtures their own
+faces: no clearance, no travel bound, and none of MuJoCo's kinematics or collision routines. Only the poses of the
 shapes at A1..A6 = 0 and the checked pairs are those of the compiled cell. Base frame, metres.
 """
 
@@ -44,6 +44,8 @@ class TriangleCell:
                 triangles, with_part = world.fixture_meshes[name], model.geom_bodyid[geom] != 0
                 mesh = trimesh.Trimesh(triangles.vertices, triangles.faces, process=False)
                 T = world.T_base_object.copy() if with_part else np.eye(4)
+            elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+                mesh = polytope(model, geom)
             else:
                 mesh, T = _mesh(int(model.geom_type[geom]), model.geom_size[geom], T)
             middle = mesh.bounds.mean(axis=0)
@@ -138,6 +140,13 @@ class TriangleCell:
     def _at_pose(self, geom: int, T: Floats) -> fcl.CollisionObject:
         self._shape[geom].setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
         return self._shape[geom]
+
+
+def polytope(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    """Return the convex hull of a mesh geom in its own frame."""
+    mesh = model.mesh(int(model.geom_dataid[geom]))
+    start, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+    return trimesh.convex.convex_hull(model.mesh_vert[start : start + count].astype(np.float64))
 
 
 def _mesh(kind: int, size: Floats, T: Floats) -> tuple[trimesh.Trimesh, Floats]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.triangle_cell import TriangleCell
+from benchmarks.triangle_cell import TriangleCell, polytope
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Scene
 from cell.world.checks import find_problems
@@ -112,6 +112,9 @@ def _gaps(world: World, q: Floats) -> Floats:
         size = model.geom_size[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             shapes[geom] = [fcl.CollisionObject(fcl.Box(*(2 * size)))] * 2
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            solid = polytope(model, geom)
+            shapes[geom] = [fcl.CollisionObject(_bvh(solid.vertices, solid.faces))] * 2
         else:
             prisms = [
                 trimesh.creation.cylinder(r, 2 * size[1], sections=SIDES)

@@ -7,6 +7,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.triangle_cell import polytope
 from cell.scene.model import Scene, pose
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
@@ -109,6 +110,8 @@ def _surface_points(world: World) -> list[tuple[int, np.ndarray]]:
             continue
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             local = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            local = np.array(polytope(model, geom).vertices)
         else:
             local = np.array([[size[0] * np.cos(a), size[0] * np.sin(a), z] for a in ring for z in (-size[1], size[1])])
         found.append((geom, local))

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from cell.scene.model import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
@@ -79,16 +80,25 @@ def test_free_contacts_and_distance_agree(world: World, checker: MujocoCollision
         assert names[i] == checker.contacts(q[i])[0]
 
 
-def test_boxes_edge_to_edge_are_found(world: World, checker: MujocoCollisionChecker) -> None:
+def test_boxes_edge_to_edge_are_found() -> None:
     """The checker finds near pairs that MuJoCo's box-box margin misses, which the test verifies."""
-    data = world.data()
-    overlooked = 0
-    for q in _random(world, 20000, seed=0):
-        data.qpos[:] = q
+    crate = {"name": "crate", "shape": "box", "size_mm": [300, 200, 100], "attached_to": "object"}
+    scene = Scene.model_validate({"fixtures": [{**crate, "position_mm": [2000, 0, 0]}], "post": {"enabled": False}})
+    world = compile_world(scene, PART, baseline_mm=75.0)
+    data, rng, overlooked = world.data(), np.random.default_rng(0), 0
+    q, boxes = world.home, [world.model.geom(name).id for name in ("crate", "housing")]
+    moved = world.model.body("object").mocapid[0]
+    for rotation in Rotation.random(6000, rng=rng):
+        T = np.eye(4)
+        T[:3, :3] = rotation.as_matrix()
+        T[:3, 3] = data.geom("housing").xpos + rng.normal(0, 0.1, 3) - T[:3, 0] * 2.0
+        data.mocap_pos[moved], data.mocap_quat[moved] = T[:3, 3], rotation.as_quat(scalar_first=True)
         mujoco.mj_kinematics(world.model, data)
         mujoco.mj_collision(world.model, data)
-        if data.ncon == 0 and not checker.free(q[None])[0]:
+        if data.ncon == 0 and mujoco.mj_geomDistance(world.model, data, *boxes, 1.0, None) < 0.0099:
             overlooked += 1
+            checker = MujocoCollisionChecker(world, T)
+            assert not checker.free(q[None])[0]
             assert 0 < checker.pairs_within_clearance(q)[0][1] < checker.clearance
     assert overlooked > 0
 

@@ -323,7 +323,7 @@ def test_an_invalid_table_is_refused(tables: dict[str, object], output: str) -> 
 def test_a_table_inside_the_robot_is_a_problem_with_a_remedy() -> None:
     """A table inside the pedestal or the robot's base is reported with the key to change."""
     found = find_problems(
-        _world(table={"position_mm": [100.0, 450.0, 100.0]}, placement={"position_mm": [300.0, 700.0, 600.0]})
+        _world(table={"position_mm": [100.0, 390.0, 100.0]}, placement={"position_mm": [300.0, 700.0, 600.0]})
     )
     assert any("rotary table" in sentence and "table.position_mm" in sentence for sentence in found), found
 
