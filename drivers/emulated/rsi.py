@@ -1,8 +1,8 @@
 """An emulated KUKA controller with RSI on the loopback interface: it sends telegrams and adds their answers.
 
 As on a real controller it owns the clock, rejects late and wrong answers, holds the last correction, and ends RSI after
-`TIMEOUT_CYCLES` late answers in a row or at the client's word. The emulated person then starts its program again at once: the
-corrections begin at zero where the arm is.
+`TIMEOUT_CYCLES` late answers in a row, or at the client's word. The emulated person then starts its program again at
+once: the corrections begin at zero where the arm is.
 """
 
 import contextlib
