@@ -250,7 +250,7 @@ def _kill(bench: Bench, n_kills: int) -> dict[str, Any]:
             if driver.state().fault_code:  # the watchdog's, of the last kill
                 driver.reset()
             driver.move(HOME[None], 1.0)
-        goal = (HOME + PER_DEGREE * np.array([60, 0, 0, 0, 0, 0])).astype(np.int32)
+        goal = (HOME + PER_DEGREE * np.array([120, 0, 0, 0, 0, 0])).astype(np.int32)
         client = subprocess.Popen([sys.executable, "-c", KILLED, bench.url, ",".join(map(str, goal.tolist()))])
         while bench.a1_deg() < 0.5 and client.poll() is None:
             time.sleep(0.01)

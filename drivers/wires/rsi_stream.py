@@ -5,7 +5,8 @@ time passes with the telegrams, and a position of the arm is never skipped. Tele
 arrived would be answered late, and are left out. After one of them, or an answer that the controller counts as late,
 the arm has stood still for a cycle; the path then goes on from where it was, from rest to full speed within `RAMP`
 seconds. Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered
-any more: corrections count from the axes at the beginning of RSI.
+any more: corrections count from the axes at the beginning of RSI. For the same reason a session that began with
+another client, whose telegrams count late answers, is not answered until the controller has ended it.
 
 The client commands over a connection of its own; its end, also by a kill, is a stop: the arm brakes on its path, then
 RSI is ended.
@@ -144,6 +145,8 @@ class Stream:
         telegram, sender = newest
         axes = np.radians(telegram.axes_deg)
         if self._arm is None:
+            if telegram.late:  # a session that another client has left: its corrections count from other axes
+                return
             self._begin(telegram, axes)
         assert self._arm is not None
         assert self._controller is not None

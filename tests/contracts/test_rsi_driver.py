@@ -172,6 +172,23 @@ def test_a_killed_client_leaves_an_arm_that_stops_on_its_path(bench: Bench) -> N
         assert driver.move(HOME[None], 1.0).at_rest
 
 
+def test_a_new_client_waits_for_the_end_of_an_old_session(bench: Bench) -> None:
+    """If the process of the telegrams is killed, its session goes on until the controller ends it: no jump."""
+    with bench.driver() as driver:
+        driver.move(NEAR, 1.0)
+        process = driver._link._process  # type: ignore[attr-defined]
+        process.kill()
+        process.wait()
+        threading.Event().wait(0.05)
+        with bench.driver() as other:
+            assert bench.controller.ended["timeout"] == 1
+            assert other.state().axes.tolist() == NEAR[-1].tolist()
+            bench.controller.driven.clear()
+            assert other.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+    steps = np.abs(np.diff(np.concatenate([NEAR[-1:] / PER_DEGREE, bench.controller.driven]), axis=0))
+    assert steps.max() < 2.0
+
+
 def test_urls_and_missing_controllers() -> None:
     """One sentence each."""
     for url in ("rsi://", "rsi://127.0.0.1/x"):
