@@ -119,7 +119,11 @@ class RsiController:
                 self._end("timeout")
         self._ipoc, self._is_answered = self._ipoc + self.cycle_ms, False
         if not self.is_stopped:
-            self._transmit("request", rsi.telegram(self._ipoc, self.axes, self.late), self._deliver)
+            self._transmit(
+                "request",
+                rsi.telegram(rsi.Telegram(self._ipoc, self.axes, self.late, self.axes - self._base)),
+                self._deliver,
+            )
 
     def _deliver(self, data: bytes) -> None:
         with contextlib.suppress(OSError):  # nobody listens yet

@@ -37,11 +37,13 @@ class Telegram:
         ipoc: clock of the controller [ms].
         axes_deg: (6,) actual axes.
         late: answers that the controller counted as late or wrong.
+        applied_deg: (6,) corrections that it has applied since the beginning of RSI; 0 if it does not report them.
     """
 
     ipoc: int
     axes_deg: Floats
     late: int
+    applied_deg: Floats
 
 
 def parse_telegram(data: bytes) -> Telegram:
@@ -59,13 +61,21 @@ def parse_telegram(data: bytes) -> Telegram:
         degrees = np.array([float(axes[name.encode()]) for name in _AXES])
     except KeyError as error:
         raise ValueError(f"a telegram without axis {error}") from error
-    return Telegram(int(clock[1]), degrees, int(float(elements.get(b"Delay", {}).get(b"D", b"0"))))
+    late, applied = elements.get(b"Delay", {}).get(b"D", b"0"), elements.get(b"AxisCorrMon", {})
+    corrections = np.array([float(applied.get(name.encode(), b"0")) for name in _AXES])
+    return Telegram(int(clock[1]), degrees, int(float(late)), corrections)
 
 
-def telegram(ipoc: int, axes_deg: Floats, late: int) -> bytes:
-    """Return the telegram of a controller."""
-    axes = " ".join(f'{name}="{angle:.4f}"' for name, angle in zip(_AXES, axes_deg, strict=True))
-    return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{late}"/><IPOC>{ipoc}</IPOC></Rob>'.encode("ascii")
+def telegram(sent: Telegram) -> bytes:
+    """Return a telegram as a controller sends it."""
+    axes, applied = (
+        " ".join(f'{name}="{angle:.4f}"' for name, angle in zip(_AXES, angles, strict=True))
+        for angles in (sent.axes_deg, sent.applied_deg)
+    )
+    return (
+        f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{sent.late}"/><AxisCorrMon {applied}/>'
+        f"<IPOC>{sent.ipoc}</IPOC></Rob>"
+    ).encode("ascii")
 
 
 def answer(ipoc: int, corrections_deg: Floats, *, end: bool) -> bytes:
@@ -115,6 +125,10 @@ def files(address: str, port: int, limits: Limits, *, cycle_ms: int) -> dict[str
 
 
 def _configuration(address: str, port: int) -> str:
+    sent = "".join(
+        f'      <ELEMENT TAG="AxisCorrMon.{name}" TYPE="DOUBLE" INDX="{number}" />\n'
+        for number, name in enumerate(_AXES, start=1)
+    )
     received = "".join(
         f'      <ELEMENT TAG="AKorr.{name}" TYPE="DOUBLE" INDX="{number}" HOLDON="1" />\n'
         for number, name in enumerate(_AXES, start=1)
@@ -132,7 +146,7 @@ def _configuration(address: str, port: int) -> str:
     <ELEMENTS>
       <ELEMENT TAG="DEF_AIPos" TYPE="DOUBLE" INDX="INTERNAL" />
       <ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL" />
-    </ELEMENTS>
+{sent}    </ELEMENTS>
   </SEND>
   <RECEIVE>
     <!-- HOLDON="1": after a late answer the axes stay where they are -->
@@ -149,9 +163,9 @@ def _signal_flow(spans: Floats) -> str:
     def parameter(name: str, number: int, value: object, more: str = "") -> str:
         return f'      <Parameter Name="{name}" ParamID="{number}" ParamValue="{value}"{more} />\n'
 
-    def wires(count: int, first: int) -> str:
+    def wires(count: int, first: int, source: str = "ETHERNET1") -> str:
         return "".join(
-            f'      <Input InIdx="{k + 1}" OutObjID="ETHERNET1" OutIdx="{first + k}" />\n' for k in range(count)
+            f'      <Input InIdx="{k + 1}" OutObjID="{source}" OutIdx="{first + k}" />\n' for k in range(count)
         )
 
     def element(kind: str, number: int, inputs: str, parameters: str) -> str:
@@ -176,7 +190,7 @@ def _signal_flow(spans: Floats) -> str:
         f'<RSIObjects xsi:noNamespaceSchemaLocation="{schema}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">\n'
         + element("AXISCORR", 33, wires(AXES, 1), lower + upper)
         + element("STOP", 18, wires(1, AXES + 1), parameter("Mode", 1, 4))
-        + element("ETHERNET", 64, "", ethernet)
+        + element("ETHERNET", 64, wires(AXES, 1, "AXISCORRMON1"), ethernet)
         + element("AXISCORRMON", 82, "", monitor)
         + "</RSIObjects>\n"
     )

@@ -181,7 +181,7 @@ class Stream:
         """Start the controller at the axes of the first telegram."""
         low, high = (np.radians(limit / PER_DEGREE) for limit in (self._limits.lower, self._limits.upper))
         self._arm = CorrectedArm(np.clip(axes, low, high))
-        self._arm.base = axes
+        self._arm.base = axes - np.radians(telegram.applied_deg)  # an earlier client may have begun the session
         self._controller = Controller(self._arm, self._limits, self._clock)
         self._last = telegram.ipoc
 

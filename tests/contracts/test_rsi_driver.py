@@ -189,6 +189,20 @@ def test_a_new_client_waits_for_the_end_of_an_old_session(bench: Bench) -> None:
     assert steps.max() < 2.0
 
 
+def test_a_session_that_a_pause_has_kept_alive_is_continued(bench: Bench) -> None:
+    """A new client reads the applied corrections, so the arm does not jump back to the beginning of RSI."""
+    with bench.driver() as driver:
+        driver.move(NEAR, 1.0)
+        bench.controller.pause(1.5)
+        driver._link._process.kill()  # type: ignore[attr-defined]
+        with bench.driver() as other:
+            assert other.state().axes.tolist() == NEAR[-1].tolist()
+            bench.controller.driven.clear()
+            assert other.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+    steps = np.abs(np.diff(np.concatenate([NEAR[-1:] / PER_DEGREE, bench.controller.driven]), axis=0))
+    assert steps.max() < 2.0
+
+
 def test_urls_and_missing_controllers() -> None:
     """One sentence each."""
     for url in ("rsi://", "rsi://127.0.0.1/x"):
@@ -210,7 +224,7 @@ def test_telegram_of_a_real_controller() -> None:
     )
     found = rsi.parse_telegram(data)
     assert found.axes_deg.tolist() == [74.8478, -128.7977, 75.8236, 102.2260, 0.0987, -56.5347]
-    assert (found.ipoc, found.late) == (4208163634, 3)
+    assert (found.ipoc, found.late, found.applied_deg.tolist()) == (4208163634, 3, [0.0] * 6)
     for wrong in (b"", b"<Rob><IPOC>1</IPOC></Rob>", data.replace(b' A6="-56.5347"', b""), data.replace(b"IPOC", b"X")):
         with pytest.raises(ValueError, match="telegram without"):
             rsi.parse_telegram(wrong)
