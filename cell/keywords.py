@@ -205,6 +205,7 @@ class ReplayKeywords(TypedDict, total=False):
     tightest: bool
     rate: float
     once: bool
+    web: bool
     frames: File | None
     fps: float
     picture: File | None

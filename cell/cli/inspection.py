@@ -233,6 +233,52 @@ def view(
             Terminal(quiet_stdout=True).suggest(*following)
 
 
+@command(
+    "cell live",
+    "cell live my_cell.toml",
+    "cell live sim_runs/trial --no-plan",
+    note="The page is served on 127.0.0.1 only, under an address with a token. A real controller is never moved from "
+    "it. Ends with Ctrl-C.",
+)
+def live(
+    *,
+    what: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[SCENE | RUN]",
+            help="Scene file, or run folder of a finished cell plan. Default: the built-in scene.",
+            show_default=False,
+        ),
+    ] = None,
+    part: Annotated[
+        str | None, typer.Option(help="As in cell plan: mesh file or built-in part.", rich_help_panel=PART)
+    ] = None,
+    given: Annotated[Given, option_specs(Scene, "units", "place", "table")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of scene files and plans. Default: sim_runs/live-<UTC>.")
+    ] = None,
+    no_plan: Annotated[bool, typer.Option("--no-plan", help="Plan only on request.")] = False,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser, print the address.")] = False,
+) -> None:
+    """Move part, fixtures, table and robot on a local page: reach while dragging, the plan after release."""
+    from cell.cli.terminal import Terminal
+    from cell.live.command import serve
+    from cell.view.loopback import open_browser
+
+    is_run = what is not None and what.is_dir()
+    if is_run and (part is not None or given):
+        raise UsageError("the part and the placement are those of the run; move the part on the page, or give a scene")
+    scene = None if is_run else scene_from_options(what, given, part, flag)
+    terminal = Terminal()
+
+    def open_page(url: str) -> None:
+        if not no_open and not open_browser(url):
+            terminal.note("no browser could be started; open the address in a browser of this machine")
+        terminal.print(url)
+
+    serve(scene, what if is_run else None, out, terminal, open_page, is_planning=not no_plan)
+
+
 def _after_setups(folder: Path, otherwise: tuple[object, ...]) -> list[tuple[object, ...]]:
     """Return the command that scans the set-ups that are not scanned yet, or another if all are."""
     from cell.runs.setups import SetupsRun

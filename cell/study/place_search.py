@@ -49,6 +49,7 @@ from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, StudyResult, write_folder
 from cell.study.trials import JsonTable, Outcome, Trial, Workers, run_trials
 from cell.view.palette import VERMILION
+from cell.view.study_page import colour_limits
 from planner.values import Floats, Ints
 
 COARSE_PLACES, COARSE_CANDIDATES = 256, 200
@@ -339,9 +340,10 @@ def pictures(found: PlaceSearchResult) -> Iterator[tuple[str, Figure]]:
     """Draw the coarse evaluations from above and over height and yaw, with the ten best marked."""
     points = np.array([point for point, _ in found.coarse])
     covered = 100 * np.array([share for _, share in found.coarse])
+    low, high = colour_limits(covered.tolist(), "coverable %")
     figure = Figure(figsize=(12.0, 5.4), dpi=110, layout="constrained")
     for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (3, 2)), strict=True):
-        image = axes.scatter(points[:, a], points[:, b], c=covered, cmap="viridis", s=18)
+        image = axes.scatter(points[:, a], points[:, b], c=covered, cmap="viridis", s=18, vmin=low, vmax=high)
         x, y = ([row[AXES[k]] for row in found.ten] for k in (a, b))
         axes.scatter(x, y, facecolors="none", edgecolors=VERMILION, s=70, label="ten best")
         axes.plot(x[0], y[0], "*", color=VERMILION, markersize=14, label="best")

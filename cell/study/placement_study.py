@@ -8,10 +8,13 @@ these estimates and the placement of the scene are planned (`cell.study.planned_
 import math
 from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
 
 from cell import scanners
 from cell.errors import SceneError
@@ -30,6 +33,7 @@ from cell.study.prepared_part import Bench, scene_settings, shared_bench, solve_
 from cell.study.study import Row, Study
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import VERMILION
+from cell.view.study_page import colour_limits
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.kinematics.frames import pose_from_kuka_abc
@@ -280,13 +284,22 @@ def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
 def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Figure:
     x, y = (np.array(sorted({row[axis] for row in rows})) for axis in ("x mm", "y mm"))
     figure = Figure(figsize=(12.0, 10.0), dpi=100, layout="constrained")
+    shown: dict[str, Any]
     for axes, (column, title, colours) in zip(figure.subplots(2, 2).flat, _MAPS, strict=True):
         values = np.full((len(y), len(x)), np.nan)
         for row in rows:
             if row[column] is not None:
                 values[np.searchsorted(y, row["y mm"]), np.searchsorted(x, row["x mm"])] = row[column]
-        image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), cmap=colours, shading="nearest")
-        figure.colorbar(image, ax=axes, shrink=0.9)
+        known = values[np.isfinite(values)]
+        low, high = colour_limits(known.tolist() or [0.0], column)
+        shown = {"vmin": low, "vmax": high, "cmap": colours}
+        ticks = None
+        if column == "views" and len(known):  # one colour for each number
+            ends = np.arange(known.min() - 0.5, known.max() + 1)
+            shown = {"cmap": colormaps[colours].resampled(len(ends) - 1), "vmin": ends[0], "vmax": ends[-1]}
+            ticks = MaxNLocator(integer=True)
+        image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), shading="nearest", **shown)
+        figure.colorbar(image, ax=axes, shrink=0.9, ticks=ticks)
         axes.set_facecolor("#dddddd")  # no value: nothing reached, or no move
         axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color=VERMILION))
         if best is not None and (best["z mm"], best["yaw deg"]) == (z, yaw):

@@ -44,8 +44,8 @@ def replay(
     is_drawn = options.frames is not None or options.picture is not None
     if options.frames is not None:  # checked before loading, which takes seconds
         require_empty(options.frames)
-    if not is_drawn:
-        from cell.view.viewer import play, require_display
+    if not is_drawn and not options.web:
+        from cell.view.viewer import require_display
 
         require_display()
     with reporter.stage("set up the replay"):
@@ -72,7 +72,19 @@ def replay(
         half = float(np.tan(np.radians(playback.replay_model.model.vis.global_.fovy) / 2))
         poses = [playback.timeline.at(t) for t in (0.0, *(stop.begin for stop in playback.timeline.stops))]
         camera = tour_camera(inputs.cell, inputs.part, poses, playback.path, (4, 3), half)
-        play(playback, camera, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
+        if options.web:
+            from cell.view.loopback import open_browser
+            from cell.view.web_replay import play_web
+
+            def show(address: str) -> None:
+                reporter.note(f"the replay is at {address} until Ctrl-C")
+                open_browser(address)
+
+            play_web(playback, camera, show, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
+        else:
+            from cell.view.viewer import play
+
+            play(playback, camera, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
     return "; ".join(made)
 
 

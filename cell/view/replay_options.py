@@ -18,7 +18,7 @@ def _names(texts: Sequence[str]) -> list[str]:
 
 
 class ReplayOptions(Table):
-    """Content and form of the replay; the viewer opens if neither `frames` nor `picture` is given."""
+    """Content and form of the replay; the viewer opens without `frames`, `picture` and `web`."""
 
     execution: Annotated[
         str | None, Option("Replay an execution: its id, or latest. Default: the plan.", metavar="ID")
@@ -27,6 +27,9 @@ class ReplayOptions(Table):
     tightest: Annotated[bool, Option("Begin at the moment with the smallest distance.")] = False
     rate: Annotated[float, Field(gt=0, le=1000), Option("Speed of the replay relative to the motion.")] = 1.0
     once: Annotated[bool, Option("Close the viewer at the end.")] = False
+    web: Annotated[
+        bool, Option("Show the run in a browser of this machine (MuJoCo Studio); needs no display for the viewer.")
+    ] = False
     frames: Annotated[
         Path | None, Field(strict=False), Option("Draw PNG frames into a folder; needs no display.", metavar="DIR")
     ] = None
@@ -69,6 +72,8 @@ class ReplayOptions(Table):
     def _require_compatible(self) -> Self:
         if self.tightest and self.view is not None:
             raise ValueError(".tightest and view both set the start; give one of them")
+        if self.web and (self.picture is not None or self.frames is not None):
+            raise ValueError(".web shows the run in a browser; omit frames and picture")
         for key in ("camera_deg", "hide"):
             if self.picture is None and getattr(self, key):
                 raise ValueError(f".{key} needs a picture; give a file for one too")

@@ -67,12 +67,8 @@ class Player:
 
     def press(self, key: int) -> None:
         """Handle a key (GLFW code); other keys are ignored."""
-        stops = self.timeline.stops
         if key == _SPACE:
-            if self.ended:
-                self.t, self.playing = 0.0, True
-            else:
-                self.playing = not self.playing
+            self.toggle()
         elif key == _UP:
             self.speed = min(self.speed * 1.5, SPEEDS[1])
         elif key == _DOWN:
@@ -81,9 +77,21 @@ class Player:
             self.t = 0.0
         elif key == _END and self.tightest is not None:
             self._step_to(self.tightest)
-        elif key == _RIGHT:
+        elif key in (_RIGHT, _LEFT):
+            self.step(1 if key == _RIGHT else -1)
+
+    def toggle(self) -> None:
+        """Pause or continue; at the end, begin again."""
+        self.playing = self.ended or not self.playing
+        if self.ended:
+            self.t = 0.0
+
+    def step(self, by: int) -> None:
+        """Go to the next view (1) or to the previous one (-1)."""
+        stops = self.timeline.stops
+        if by > 0:
             self._step_to(next((stop.begin for stop in stops if stop.begin > self.t), self.timeline.duration))
-        elif key == _LEFT:
+        else:
             self._step_to(next((stop.begin for stop in reversed(stops) if stop.begin < self.t), 0.0))
 
     def _step_to(self, t: float) -> None:

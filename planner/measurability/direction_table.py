@@ -9,8 +9,9 @@ source and of the sensor, are looked up at the nearest node.
 The grid is turned about the normal by another angle for each sample. Otherwise parallel faces would round the same
 direction to the same side, and views along an axis would be wrong on all of them together.
 
-The table is built from coarse to fine: a node is cast only if its coarser neighbours differ, so that an occluder
-between coarse nodes may be missed. Sensors are outside the convex hull of the part, but may be between the part and a
+The table is built from coarse to fine. Of a sample that is free in all directions of the first level, no more nodes are
+cast. Of the others, all nodes of the second level are, and finer ones whose coarser neighbours differ. An occluder
+between these nodes may be missed. Sensors are outside the convex hull of the part, but may be between the part and a
 post, floor or fixture. Samples near such an occluder have further tables, one for each of `N_RANGES` ranges of
 distance. Views often look just past an edge, which is too fine for the grid. Sums of weights use the tables all the
 same, but `measured` casts exact rays where a node has a neighbour that differs from it. Object frame, metres.
@@ -293,6 +294,12 @@ def _cast(
                 break
             step //= 2
             _subdivide(part, step)
+            if step == _COARSEST // 2:  # thin occluders are between the nodes of the first level
+                is_occluded = (part[:, ::_COARSEST, ::_COARSEST] == 0).any(axis=(1, 2))
+                level = part[:, ::step, ::step]
+                is_new = np.ones(level.shape[1:], dtype=np.bool_)
+                is_new[::2, ::2] = False
+                level[is_occluded[:, None, None] & is_new] = _TO_CAST
     return free
 
 

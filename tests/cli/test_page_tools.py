@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from cell.scene.model import Region
 from cell.view.packed import Layer, quantised_layer
 from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.pieces import cell_of_run
+from cell.view.study_page import study_page
 from planner.geometry.mesh import TriangleMesh
 
 SIZE_MM = (60.0, 40.0, 20.0)
@@ -235,3 +237,34 @@ def test_nothing_overlaps(chromium: Any, page: Path) -> None:
         for b in boxes[i + 1 :]:
             assert min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]), (a, b)
     assert height > 0.5 * free
+
+
+def test_the_map_and_the_table_of_a_study(chromium: Any, tmp_path: Path) -> None:
+    """A mark selects its row and its command; a heading sorts; views have one step of colour each."""
+    rows = [
+        {"x mm": x, "y mm": y, "coverable %": 91.0 + 0.001 * x, "views": 5 + (x > 0)} for x in (0, 80) for y in (1, 2)
+    ]
+    study = {
+        "name": "placement", "sentences": ["A study."], "rows": rows, "failed": [], "pictures": [], "best": 1,
+        "commands": [f"cell plan --place {row['x mm']},{row['y mm']},0" for row in rows],
+    }  # fmt: skip
+    (tmp_path / "study.json").write_text(json.dumps(study))
+    page = tmp_path / "view.html"
+    page.write_text(study_page(tmp_path), encoding="utf-8")
+    found = _run(  # the driver of Firefox runs scripts in the page, which allows only its own
+        chromium,
+        page,
+        """
+        const marks = () => [...document.querySelectorAll("#map [data-row]")];
+        const order = () => [...document.querySelectorAll("tbody tr")].map((line) => line.dataset.row).join("");
+        const colours = new Set(marks().map((mark) => mark.getAttribute("fill"))).size;
+        const first = byId("command").textContent;
+        marks()[3].onclick(); const second = byId("command").textContent;
+        heads[0].click(); heads[0].click(); const down = order();
+        byId("colour").value = "views"; byId("colour").onchange();
+        return [first, second, down, document.querySelectorAll("#map .bar").length, limits("coverable %"), colours];
+        """,
+    )
+    assert found[:4] == ["cell plan --place 0,2,0", "cell plan --place 80,2,0", "2301", 2]
+    assert found[4] == pytest.approx([90.54, 91.54])
+    assert found[5] == 2

@@ -43,6 +43,7 @@ NO_FUNCTION = {
     "sensors": "is `cell.scene.sensors`",
     "emulate": "is a process of its own",
     "controller": "writes constant files",
+    "live": "is a server",
 }
 WRONG = {
     "plan('mug', max_view=8)": 'did you mean "max_views"',

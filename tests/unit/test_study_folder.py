@@ -2,6 +2,7 @@
 
 import base64
 import csv
+import hashlib
 import json
 import re
 import shlex
@@ -19,7 +20,7 @@ from cell.study import study as studies
 from cell.study.scanner_study import PARAMETERS, select_views
 from cell.study.study import Study, StudyResult, markdown_table, plan_options, run_study
 from cell.study.trials import Outcome, Trial
-from cell.view.study_page import format_value, study_page
+from cell.view.study_page import colour_limits, format_value, study_page
 
 _TRIALS = [Trial.of(select_views, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
 
@@ -84,17 +85,22 @@ def test_the_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_p
     """The page repeats the command of the best row at the top. Studies of earlier versions have a page too."""
     page = (conducted / "view.html").read_text(encoding="utf-8")
     (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
-    assert base64.b64decode(picture) == (conducted / "views.svg").read_bytes()
+    drawn, file = base64.b64decode(picture).decode(), (conducted / "views.svg").read_text(encoding="utf-8")
+    assert drawn.count("<path") == file.count("<path") > 0
+    assert ("prefers-color-scheme:dark" in drawn, "#000000" in drawn) == (True, False)
     assert re.findall(r"<code>([^<]*)</code>", page) == [f"cell plan --faces {n}" for n in (10, 8, 10)]
-    assert page.count("<tr class=best>") == 1
-    assert "<script" not in page
+    assert page.count(" class=best>") == 1
+    assert page.count("<script") == 2
+    script = page.rpartition("<script>")[2].partition("</script>")[0]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in page  # no other script runs
     study = json.loads((conducted / "study.json").read_text())
     for key in ("title", "pictures", "commands", "best"):
         del study[key]
     (conducted / "study.json").write_text(json.dumps({**study, "name": "<script>alert(1)</script>"}))
     older = study_page(conducted)
     assert picture in older
-    assert "<script" not in older
+    assert older.count("<script") == 2
     (conducted / "study.json").write_text("{}")
     with pytest.raises(FileError, match=r"study\.json is damaged"):
         study_page(conducted)
@@ -148,3 +154,10 @@ def test_a_table_shows_numbers_shortly_and_nothing_as_nothing() -> None:
     assert [format_value(value) for value in (3, 1 / 3, None, "x", True)] == ["3", "0.3333", "", "x", "True"]
     assert markdown_table([{"a": 1, "b": None}, {"a": 2.5}]) == ["| a | b |", "|---|---|", "| 1 |  |", "| 2.5 |  |"]
     assert markdown_table([]) == []
+
+
+def test_a_colour_scale_is_not_finer_than_its_values() -> None:
+    """A range below the accuracy of a column is widened about its middle."""
+    assert colour_limits([91.0, 91.08], "coverable %") == pytest.approx((90.54, 91.54))
+    assert colour_limits([40.0, 90.0], "coverable %") == (40.0, 90.0)
+    assert colour_limits([7, 7], "views") == (6.5, 7.5)
