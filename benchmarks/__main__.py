@@ -59,7 +59,7 @@ REGISTRY = {
     "motion_recheck": "final motions of seeded scenes, checked by triangles every millisecond and by differences",
     "gtsp": "generalised travelling salesman files: excess over the best known tour and the lower bound, time",
     "cycle_time": "cycle time of plans compared with an earlier version, RoboTSP's method and the lower bound",
-    "ur_soak": "moves over ur:// with faults and killed clients, compared with the executed commands",
+    "online_soak": "moves over ur:// and rsi:// with faults, killed clients of ur://, kvp:// and rsi://",
     "kills": "client and controller killed at random moments, then resumed: lost and repeated moves",
     "edits": "random edits of plans and differences of runs: results and refusals, checked independently",
     "locate": "placements found from one scan of a displaced part: error and reported undetermined motions",

@@ -52,6 +52,14 @@ EVERY_FAULT = (
     "drop=0.01,delay=0.01:0.1,duplicate=0.01,reorder=0.01:0.1,corrupt=0.01,truncate=0.01,exception=0.01,"
     "half-open=0.01:0.6,reboot=0.01:0.2,estop=0.01:0.2"
 )
+STREAM_FAULTS = (
+    "drop=0.01,delay=0.01:0.1,duplicate=0.01,exception=0.01,half-open=0.01:0.6,reboot=0.01:0.2,estop=0.01:0.2"
+)
+"""Faults of a protocol without a checksum of its own: TCP delivers each message whole, or not at all."""
+
+FAULTS = {"kvp": STREAM_FAULTS}
+"""Faults of the protocols that do not have every fault. Their emulators run in real time."""
+
 TIME_SCALE = 20.0
 PATIENCE = "timeout_ms=80&watchdog_ms=500&poll_ms=10"
 MOST_RECOVERIES = 300
@@ -284,7 +292,8 @@ def soak_backend(
     limits = KR16 if folder is None else Limits.from_rad(open_run(folder).motion.limits)
     with tempfile.TemporaryDirectory() as kept:
         log = Path(kept) / "moves.jsonl"
-        command = [sys.executable, "-m", "cell", "emulate", backend, "--time-scale", str(TIME_SCALE), "--log", str(log)]
+        command = [sys.executable, "-m", "cell", "emulate", backend, "--log", str(log)]
+        command += [] if backend in FAULTS else ["--time-scale", str(TIME_SCALE)]
         command += ["--seed", str(seed), *(["--faults", faults] if faults else [])]
         command += [] if folder is None else ["--run", str(folder)]
         errors = Path(kept) / "errors.txt"
@@ -313,7 +322,7 @@ def run() -> list[dict[str, Any]]:
     for backend in os.environ.get("SOAK_BACKENDS", " ".join(BACKENDS)).split():
         moves = int(os.environ.get("SOAK_MOVES", "2000"))
         folder = Path(os.environ["SOAK_RUN"]) if "SOAK_RUN" in os.environ else None
-        soak, journal = soak_backend(backend, moves, EVERY_FAULT, seed=1, folder=folder)
+        soak, journal = soak_backend(backend, moves, FAULTS.get(backend, EVERY_FAULT), seed=1, folder=folder)
         verdict = judge(soak, journal)
         told = Counter(Fault(code).name.lower() for code in soak.reported)
         rows.append(

@@ -88,7 +88,7 @@ Progress = Callable[[str, int, int], None]
 
 __all__ = [
     "Progress", "advise", "calibrate_hand_eye", "check", "diff", "edit", "explore", "export", "features", "init",
-    "inspect", "locate", "open_run", "part", "place", "plan", "replay", "scan", "scan_setups", "setups",
+    "inspect", "locate", "open_run", "part", "place", "plan", "points", "replay", "scan", "scan_setups", "setups",
     "study_placement", "study_scanner", "study_standoff", "view", "why",
 ]  # fmt: skip
 
@@ -306,6 +306,17 @@ def export(
     folder, chosen = _folder(run), _options(ExportOptions, options, keywords)
     write = exporting.export_setups if (folder / "setups.json").is_file() else exporting.export
     return write(folder, chosen, _reporter(progress))
+
+
+def points(run: "Run | str | Path", out: str | Path, execution: str = "latest") -> int:
+    """Write the points or the surface of an execution to a file; its suffix is the format (docs/execution.md).
+
+    Returns:
+        The number of points, or of vertices of the surface.
+    """
+    from cell.export.points import write_points
+
+    return write_points(_folder(run), Path(out), execution)
 
 
 def scan(

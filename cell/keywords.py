@@ -184,7 +184,7 @@ class HandEyeKeywords(TypedDict, total=False):
 class ExportKeywords(_CurrentFilesKeywords, total=False):
     """Options of `cell export`."""
 
-    format: Literal["krl", "rapid", "urscript", "ls", "csv", "json"] | None
+    format: Literal["krl", "rapid", "urscript", "ls", "csv", "json", "ros"] | None
     out: File | None
     name: str | None
     speed: float | None

@@ -274,6 +274,7 @@ class Capabilities:
         hardware: True if moves move a real robot, so that a person must confirm them.
         simulated_time: True if a move takes no real time.
         time_scale: seconds of the controller's clock per real second; 1 except for emulators.
+        not_reported: facts that the wire does not report, in words after "it does not report"; empty: none.
     """
 
     controller: str
@@ -285,6 +286,7 @@ class Capabilities:
     hardware: bool
     simulated_time: bool
     time_scale: float = 1.0
+    not_reported: str = ""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_step"):

@@ -1,9 +1,9 @@
 """The command line: its commands by subject, and how a command ends.
 
     planning      plan, setups, edit, why, diff
-    inspection    check, part, robot, sensors, view, replay, export
+    inspection    check, part, robot, sensors, view, replay, points, export
     features      features, inspect
-    execution     scan, explore, locate, calibrate hand-eye, emulate
+    execution     scan, explore, locate, calibrate hand-eye, controller, emulate
     study         place, study ...
 
 Commands import heavy modules inside their functions, so that `--help` answers at once.

@@ -1,4 +1,4 @@
-"""Commands on the real or simulated cell: `cell scan`, `explore`, `locate`, `calibrate hand-eye` and `emulate`."""
+"""Commands on the real or simulated cell: `cell scan`, `explore`, `locate`, `calibrate`, `controller`, `emulate`."""
 
 import shlex
 import sys
@@ -299,16 +299,44 @@ def hand_eye(
 
 
 @command(
+    "cell controller kvp --out usb_stick",
+    "cell controller rsi --out usb_stick --address 192.168.0.20",
+    note="docs/drivers.md describes the set-up at the controller.",
+)
+def controller(
+    *,
+    protocol: Annotated[str, typer.Argument(metavar="kvp|rsi", help="Protocol of the driver.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files.", metavar="DIR")],
+    run: Annotated[Path | None, typer.Option(help="Run folder with the arm. Default: the built-in arm.")] = None,
+    address: Annotated[
+        str, typer.Option(help="rsi: address of this computer in the network of the controller.")
+    ] = "192.168.0.20",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="rsi: UDP port of this computer.")] = 49152,
+    cycle_ms: Annotated[int, typer.Option(help="rsi: cycle of the controller, 4 or 12 ms.")] = 4,
+    timer: Annotated[int, typer.Option(min=1, max=32, help="kvp: $TIMER that watches the client.")] = 10,
+) -> None:
+    """Write the files that a KUKA controller needs to be driven online (`kvp://`, `rsi://`)."""
+    from cell.scan import emulator
+
+    for path in emulator.write_controller_files(protocol, out, run, address, port, cycle_ms, timer):
+        sys.stdout.write(f"{path}\n")
+
+
+@command(
     "cell emulate serial --link /tmp/kr16 --state arm.json",
     "cell emulate modbus --port 5020 --time-scale 10",
     "cell emulate modbus --run sim_runs/trial --plant mujoco",
     "cell emulate ur --run sim_runs/ur5e",
+    "cell emulate kvp --port 7000",
+    "cell emulate rsi --cycle-ms 12",
     "cell emulate modbus-rtu --faults drop=0.01,delay=0.02:0.3,estop@12.5 --seed 4 --log moves.jsonl",
     note="The first line on stdout is the driver URL: cell scan sim_runs/trial --driver URL. Ctrl-C ends it.",
 )
 def emulate(
     *,
-    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu|ur", help="Protocol of the controller.")],
+    protocol: Annotated[
+        str, typer.Argument(metavar="serial|modbus|modbus-rtu|ur|kvp|rsi", help="Protocol of the controller.")
+    ],
     options: EmulateOptions,
 ) -> None:
     """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
@@ -316,10 +344,12 @@ def emulate(
 
     if protocol not in emulator.PROTOCOLS:
         raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")
-    if options.link is not None and protocol in ("modbus", "ur"):
+    if options.link is not None and protocol in emulator.ON_A_PORT:
         raise UsageError(f"--link is for pseudo-terminals; cell emulate {protocol} has --port")
-    if options.port and protocol not in ("modbus", "ur"):
-        raise UsageError(f"--port is for cell emulate modbus and ur; cell emulate {protocol} has --link")
+    if options.port and protocol not in emulator.ON_A_PORT:
+        raise UsageError(
+            f"--port is for cell emulate {', '.join(emulator.ON_A_PORT)}; cell emulate {protocol} has --link"
+        )
     arm = emulator.load_arm(options.run, options.plant)
     emulator.emulate(protocol, options, arm, lambda url: _announce(url, options.run, options.time_scale))
 

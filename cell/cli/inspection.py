@@ -1,4 +1,4 @@
-"""Commands that show things: `cell check`, `part`, `robot`, `sensors`, `view`, `replay` and `export`."""
+"""Commands that show things: `cell check`, `part`, `robot`, `sensors`, `view`, `replay`, `points`, `export`."""
 
 import sys
 import tempfile
@@ -329,6 +329,25 @@ def replay(
 
 
 @command(
+    "cell points sim_runs/trial trial.e57",
+    "cell points sim_runs/trial surface.glb --execution 0001",
+    note="e57, ptx, las, laz, pcd, csv: points; ply, stl, obj, glb: surface (docs/execution.md). E57, LAS and LAZ need "
+    "pip install 'scan-cell[points]'.",
+)
+def points(
+    *,
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan.")],
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="File to write; its suffix is the format.")],
+    execution: Annotated[str, typer.Option(help="Execution, by its id.")] = "latest",
+) -> None:
+    """Write the points or the surface of an execution for other programs, with their deviation from the part."""
+    from cell import api
+
+    count = api.points(run, out, execution)
+    sys.stdout.write(f"{out}: {count:,} points\n")
+
+
+@command(
     "cell export sim_runs/trial",
     "cell export sim_runs/trial --name PART_07 --speed 0.1 --trigger-output 5 --done-input 6 --out program",
     "cell export sim_runs/trial --format csv",
@@ -348,7 +367,7 @@ def export(
     terminal = Terminal(quiet_stdout=as_json)
     has_setups = (run / "setups.json").is_file()
     outcome = api.export(run, options, progress=terminal)
-    if outcome.format not in ("csv", "json"):
+    if outcome.format not in ("csv", "json", "ros"):
         terminal.note(
             "before this program runs on a robot, check axes, tool, signals and cell (docs/export.md), and run it at "
             "reduced speed"

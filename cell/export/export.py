@@ -5,12 +5,13 @@ from pathlib import Path
 
 from pydantic import Field
 
-from cell.errors import FileError
-from cell.export import fanuc, krl, rapid, tables, urscript
+from cell.errors import FileError, UsageError
+from cell.export import fanuc, krl, rapid, ros, tables, urscript
 from cell.export.names import MAX_NAME_LENGTH, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program, ProgramSettings, load_program, program_name
 from cell.files import atomic_write
+from cell.runs.run import Run
 from cell.runs.schema import JsonTable
 from cell.runs.setups import SetupsRun
 from cell.session import ProgressReporter
@@ -47,6 +48,9 @@ def export(run_folder: Path, options: ExportOptions, reporter: ProgressReporter 
         FileError: if the run has no finished motion, a file is damaged, or the output cannot be written.
     """
     program = load_program(run_folder, options.name, options, reporter)
+    if options.kind == "ros":
+        files = ros.files(program.info.name, Run.open_finished(run_folder))
+        return _write_programs(run_folder, [program], program.info.name, options, files)
     return _write_programs(run_folder, [program], program.info.name, options)
 
 
@@ -62,6 +66,8 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
         UsageError, FileError: as `export`.
     """
     planned = SetupsRun.opened(folder)
+    if options.kind == "ros":
+        raise UsageError(f"--format ros is for one set-up; give one of: {', '.join(map(str, planned.folders))}")
     digest = planned.file.selected[0].digest
     name = options.name or program_name(folder.resolve().name, digest, options.kind or "krl")
     if len(name) > MAX_NAME_LENGTH - 3:  # the names of the set-ups' programs end with `_` and a number
@@ -95,10 +101,18 @@ def _contents(name: str, programs: Sequence[Program], settings: Sequence[Program
             return {f"{program.info.name}.csv": tables.csv(program) for program in programs}
         case "json":
             return {f"{program.info.name}.json": tables.as_json(program) for program in programs}
+        case "ros":
+            raise AssertionError("its files are those of a run")
 
 
-def _write_programs(folder: Path, programs: Sequence[Program], name: str, options: ExportOptions) -> ExportOutcome:
-    """Write programs, and for several a main program, to `options.out` or below the run folder."""
+def _write_programs(
+    folder: Path,
+    programs: Sequence[Program],
+    name: str,
+    options: ExportOptions,
+    contents: dict[str, bytes] | None = None,
+) -> ExportOutcome:
+    """Write programs, for several also a main program, or other files, to `options.out` or below the run folder."""
     settings = [
         ProgramSettings(
             percent(options.speed, SPEED_PERCENT, program.info.speed),
@@ -107,7 +121,7 @@ def _write_programs(folder: Path, programs: Sequence[Program], name: str, option
         )
         for program in programs
     ]
-    contents = _contents(name, programs, settings)
+    contents = _contents(name, programs, settings) if contents is None else contents
     files = _write(folder / FOLDER if options.out is None else options.out, contents, replace=options.out is None)
     return ExportOutcome(
         format=programs[0].info.language,

@@ -10,7 +10,7 @@ from cell.runs.current_files import CurrentFiles
 from cell.scene.fields import SpeedShare
 from cell.scene.options import Option
 
-Language = Literal["krl", "rapid", "urscript", "ls", "csv", "json"]
+Language = Literal["krl", "rapid", "urscript", "ls", "csv", "json", "ros"]
 
 _PROGRAM = "Program"
 _Signal = Annotated[int, Field(ge=0, le=4096)]
@@ -22,7 +22,7 @@ class ExportOptions(CurrentFiles):
     kind: Annotated[
         Language | None,
         Option(
-            "Format: krl (KUKA), rapid (ABB), urscript (Universal Robots), ls (Fanuc), csv or json. Default: the "
+            "Format: krl (KUKA), rapid (ABB), urscript (Universal Robots), ls (Fanuc), csv, json or ros. Default: the "
             "language of the robot's maker.",
             name="format",
         ),

@@ -202,7 +202,7 @@ def _single_view(points: Floats, sd: float) -> MeasuredPoints:
 def _mesh_of(source: Path) -> TriangleMesh | None:
     """Return the triangles of a file; None for a file of points."""
     suffix = source.suffix.lower()
-    if suffix in (".xyz", ".txt", ".pcd"):
+    if suffix != ".ply" and suffix in point_files.SUFFIXES:
         return None
     content = mesh_files.read_bytes(source)
     if suffix == ".ply":

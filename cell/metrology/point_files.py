@@ -1,4 +1,4 @@
-"""Files of points: clouds that are read (PLY, XYZ and other text, PCD), merged cloud and mesh that are written (PLY).
+"""Files of points: clouds that are read (PLY, text, PCD, E57, PTX, LAS), merged cloud and mesh that are written (PLY).
 
 Numbers are read as they stand, without unit or frame. Points that are not finite, which organised clouds keep for rays
 without an echo, are dropped. Written files are in the object frame, millimetres. Scalar fields have names that begin
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cell import files
 from cell.errors import FileError
-from cell.metrology import point_tables
+from cell.metrology import point_tables, scan_files
 from cell.part.ply_elements import PlyError, read_elements
 from cell.runs import ply
 from cell.text import decode, lines_of
@@ -24,11 +24,11 @@ from planner.registration.cloud import PointCloud
 from planner.values import Floats
 
 _TEXTS = (".xyz", ".txt", ".csv", ".asc", ".pts")
-SUFFIXES = (".ply", ".pcd", *_TEXTS)
+SUFFIXES = (".ply", ".pcd", *_TEXTS, *scan_files.SUFFIXES)
 
 
 def read(path: Path) -> Floats:
-    """Read the points (P, 3) of a file, in its own unit and frame.
+    """Read the points (P, 3) of a file, in its own unit and frame; those of all its scans, by their poses.
 
     Raises:
         FileError: if it cannot be read.
@@ -42,14 +42,21 @@ def read(path: Path) -> Floats:
         ".pcd": _pcd,
         **dict.fromkeys(_TEXTS, point_tables.read_points),
     }
-    if path.suffix.lower() not in readers:
+    if path.suffix.lower() not in SUFFIXES:
         raise FileError(f"{path} is '{path.suffix}'; points are read from {', '.join(SUFFIXES)}: convert it")
     if not content:
         raise FileError(f"{path} is empty (0 bytes)")
+    if path.suffix.lower() in scan_files.SUFFIXES:
+        scans = [scan.points_in_file for scan in scan_files.read(path)]
+        return _finite(path, np.concatenate(scans) if scans else np.zeros((0, 3)))
     try:
         points = readers[path.suffix.lower()](content)
     except (PlyError, point_tables.TableError, _PcdError) as error:
         raise FileError(f"{path} {error}") from error
+    return _finite(path, points)
+
+
+def _finite(path: Path, points: Floats) -> Floats:
     finite: Floats = points[np.isfinite(points).all(axis=1)]
     if len(points) and not len(finite):
         raise FileError(f"{path} has {len(points)} points, and the coordinates of none are finite; scan again")

@@ -6,6 +6,7 @@ one. The file survives the process, not a crash of the machine: it is not synchr
 """
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,8 @@ from drivers.clock import RealTimeClock
 from drivers.contract import Fault, RobotState
 from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
+from drivers.emulated.kvp import KukaController, KvpStation
+from drivers.emulated.rsi import RsiController
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
 from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.emulated.ur import UrController, UrServer
@@ -31,8 +34,10 @@ from drivers.errors import DriverError
 from drivers.limits import Limits
 from drivers.setpoints import AXES, Floats, SetPoints, from_rad, to_rad
 from drivers.simulated_controller import IdealPlant, PlantFactory
+from drivers.wires import kvp_program, rsi
 
-PROTOCOLS = ("serial", "modbus", "modbus-rtu", "ur")
+PROTOCOLS = ("serial", "modbus", "modbus-rtu", "ur", "kvp", "rsi")
+ON_A_PORT = ("modbus", "ur", "kvp", "rsi")
 UR_SCRIPT_OFFSET = 2  # of the script port below the RTDE port, as on a real controller
 SCHEMA = "cell-emulator-state/1"
 
@@ -74,6 +79,12 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
     injector = Injector(faults, np.random.default_rng(options.seed)) if options.faults else None
+    if protocol == "kvp":
+        _emulate_kvp(options, arm, injector, announce)
+        return
+    if protocol == "rsi":
+        _emulate_rsi(options, arm, injector, announce)
+        return
     memory = Memory(options.state, options.log)
     home = arm.home.copy()
     if options.start_deg is not None:
@@ -114,16 +125,67 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         memory.close(state)
 
 
+def _emulate_kvp(options: EmulateOptions, arm: Arm, injector: Injector | None, announce: Callable[[str], None]) -> None:
+    """Serve a KUKA controller with the variables of its KRL program until Ctrl-C."""
+    _refuse_options("kvp", options, ("link", "baud", "unit", "plant", "state", "time_scale"))
+    home = arm.home if options.start_deg is None else np.append(np.radians(options.start_deg), arm.home[AXES:])
+    clock, memory = RealTimeClock(), Memory(None, options.log)
+    controller = KukaController(to_rad(from_rad(home)), arm.limits, clock, memory)
+    try:
+        line = TcpLine(options.port)
+    except DriverError as error:
+        raise DriverFailureError(str(error)) from error
+    server = Server(KvpStation(controller), line, clock, injector)
+    try:
+        announce(f"kvp://{line.name}")
+        server.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
+    except KeyboardInterrupt:
+        pass  # the usual end
+    finally:
+        line.close()
+
+
+def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, announce: Callable[[str], None]) -> None:
+    """Send the telegrams of a KUKA controller with RSI until Ctrl-C."""
+    _refuse_options("rsi", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale"))
+    _require_arm_only("rsi", arm)
+    _require_cycle(options.cycle_ms)
+    home = arm.home if options.start_deg is None else np.radians(options.start_deg)
+    clock = RealTimeClock()
+    try:
+        controller = RsiController(to_rad(from_rad(home)), arm.limits, clock, options.port, options.cycle_ms, injector)
+    except DriverError as error:
+        raise DriverFailureError(str(error)) from error
+    try:
+        announce(controller.url)
+        controller.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
+    except KeyboardInterrupt:
+        pass  # the usual end
+    finally:
+        controller.close()
+
+
+def _require_cycle(cycle_ms: int) -> None:
+    if cycle_ms not in (4, 12):
+        raise UsageError(f"--cycle-ms is {cycle_ms}; it must be 4 or 12")
+
+
+def _require_arm_only(protocol: str, arm: Arm) -> None:
+    if len(arm.home) != AXES:
+        raise UsageError(f"cell emulate {protocol} turns no rotary table; choose another --run")
+
+
+def _refuse_options(protocol: str, options: EmulateOptions, names: tuple[str, ...]) -> None:
+    default = EmulateOptions()
+    for name in names:
+        if getattr(options, name) != getattr(default, name):
+            raise UsageError(f"cell emulate {protocol} has no --{name.replace('_', '-')}; omit it")
+
+
 def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], None]) -> None:
     """Serve a controller of Universal Robots until Ctrl-C."""
-    default = EmulateOptions()
-    for name in ("link", "baud", "unit", "plant", "state", "log", "time_scale", "faults"):
-        if getattr(options, name) != getattr(default, name):
-            raise UsageError(f"cell emulate ur has no --{name.replace('_', '-')}; omit it")
-    if len(arm.home) != AXES:
-        raise UsageError(
-            "cell emulate ur: a controller of Universal Robots turns no rotary table; choose another --run"
-        )
+    _refuse_options("ur", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale", "faults"))
+    _require_arm_only("ur", arm)
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
     try:
@@ -164,6 +226,33 @@ def load_arm(run_folder: Path | None, plant: str) -> Arm:
         return Arm(Limits.from_rad(limits), home, plants[plant])
     own = Limits.from_rad(table.limits(limits))
     return Arm(own.with_endless_axis() if run.scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
+
+
+def write_controller_files(
+    protocol: str, out: Path, run_folder: Path | None, address: str, port: int, cycle_ms: int, timer: int
+) -> list[Path]:
+    """Write the files that a controller needs for `kvp://` or `rsi://`, and return their paths.
+
+    Raises:
+        UsageError: if an argument is invalid.
+        FileError: if a file cannot be written.
+    """
+    if protocol == "kvp":
+        contents = kvp_program.files(timer)
+    elif protocol == "rsi":
+        _require_cycle(cycle_ms)
+        if not re.fullmatch(r"[\w.-]+", address, re.ASCII):
+            raise UsageError(f"--address {address!r} is no address; write it like 192.168.0.20")
+        contents = rsi.files(address, port, load_arm(run_folder, "ideal").limits, cycle_ms=cycle_ms)
+    else:
+        raise UsageError(f"cell controller {protocol}: unknown protocol; valid are: kvp, rsi")
+    try:
+        for name, content in contents.items():
+            with atomic_write(out / name) as part:
+                part.write_bytes(content)
+    except OSError as error:
+        raise FileError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
+    return [out / name for name in contents]
 
 
 def _open_line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:

@@ -23,6 +23,7 @@ class EmulateOptions(Table):
         Option("Symbolic link to make for the pseudo-terminal.", _LINE, metavar="PATH"),
     ] = None
     baud: Annotated[int, Option("Baud rate of the pseudo-terminal.", _LINE)] = 115200
+    cycle_ms: Annotated[int, Field(ge=4, le=12), Option("rsi: time between telegrams, 4 or 12 ms.", _LINE)] = 4
     unit: Annotated[int, Field(ge=1, le=247), Option("Modbus device address.", _LINE)] = 1
     run: Annotated[
         Path | None,

@@ -117,6 +117,7 @@ def require_confirmation(
         return
     name, digest = motion.description, motion.short_digest
     danger = f"{able.controller} moves an arm at {100 * speed:g} % of its axis speeds along {name} {digest}"
+    danger += f"; it does not report {able.not_reported}" if able.not_reported else ""
     if given is not None and not (motion.is_own_path and confirm is not None):
         raise UsageError(
             f"--confirm-motion {given} is not the digest of {name}, which is {digest}; nothing was moved: check that "

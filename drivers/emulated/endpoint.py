@@ -208,6 +208,10 @@ class Endpoint:
         self.controller.emergency_stop(pressed)
         self._observe()
 
+    def time_to_wait(self) -> float:
+        """Return the time [s] after which the state may change by itself."""
+        return self.controller.time_to_wait()
+
     def brake_for_restart(self) -> None:
         """Brake on the path as in a power failure. Call `restart` once the arm is at rest."""
         self.controller.latch(Fault.RESTARTED)

@@ -311,7 +311,7 @@ class Server:
         moves, self._moves = self._station.endpoint.moves - self._moves, self._station.endpoint.moves
         if self._injector is None or not moves:
             return
-        duration = self._station.endpoint.controller.time_to_wait() / self._time_scale
+        duration = self._station.endpoint.time_to_wait() / self._time_scale
         for name in MOVE_FAULTS:
             if self._injector.occurs(name):
                 seconds = self._injector.seconds(name)

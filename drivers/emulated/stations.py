@@ -209,10 +209,46 @@ def crc16(data: bytes) -> int:
     return crc
 
 
+class Rest(Protocol):
+    """A state that says whether the arm is at rest."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm is at rest."""
+
+
+class EmulatedController(Protocol):
+    """A controller as the server of its line sees it.
+
+    Attributes:
+        moves: number of accepted moves.
+    """
+
+    moves: int
+
+    def tick(self) -> Rest:
+        """Let time pass."""
+
+    def time_to_wait(self) -> float:
+        """Return the rest of the current motion [s]."""
+
+    def emergency_stop(self, pressed: bool = True) -> None:
+        """Press or release the emergency stop."""
+
+    def brake_for_restart(self) -> None:
+        """Brake on the path as in a power failure."""
+
+    def restart(self) -> None:
+        """Restart the controller over the same arm."""
+
+
 class Station(Protocol):
     """The controller's end of one protocol."""
 
-    endpoint: Endpoint
+    @property
+    def endpoint(self) -> EmulatedController:
+        """The controller."""
+
     silence: float
     """Time [s] after which an incomplete telegram is dropped."""
 

@@ -75,6 +75,7 @@ _PROGRAM_START = 1.0  # longest time until a sent program runs, beside the answe
 _AT_REST = 1e-3  # largest speed of an axis at rest [rad/s]
 _MAX_VIA = 1000
 _STOP_DECELERATION = 4.0  # of stopj [rad/s^2]
+_NOT_REPORTED = "its axis limits, nor which other clients of its network send programs"
 _ROBOT_FAULT = 100  # fault code of a robot mode: this plus the mode
 
 
@@ -137,7 +138,8 @@ class UrLink:
         self._outputs = self._recipe(OUTPUTS, self._ask(Package.OUTPUTS, request))
         if self._ask(Package.START) != b"\x01":
             raise ProtocolError(f"{self._name} does not start the exchange of data")
-        return self._limits.capabilities("controller of Universal Robots", hardware=True, simulated_time=False)
+        able = self._limits.capabilities("controller of Universal Robots", hardware=True, simulated_time=False)
+        return replace(able, not_reported=_NOT_REPORTED)
 
     def close(self) -> None:
         """Release the wire; allowed twice."""

@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -14,7 +16,10 @@ from tests.support.arms import KR16
     ("arguments", "words", "code"),
     [
         (("smoke",), "valid are: serial, modbus, modbus-rtu", 2),
-        (("serial", "--port", "5020"), "--port is for cell emulate modbus and ur", 2),
+        (("serial", "--port", "5020"), "--port is for cell emulate modbus, ur", 2),
+        (("kvp", "--time-scale", "2"), "cell emulate kvp has no --time-scale", 2),
+        (("rsi", "--log", "x"), "cell emulate rsi has no --log", 2),
+        (("rsi", "--cycle-ms", "5"), "it must be 4 or 12", 2),
         (("modbus", "--link", "x"), "--link is for pseudo-terminals", 2),
         (("modbus", "--faults", "dorp=0.1"), "there is no fault 'dorp'; did you mean 'drop'", 2),
         (("modbus", "--faults", "drop=2"), "a number from 0 to 1", 2),
@@ -76,3 +81,47 @@ def test_invalid_urls_of_wires_are_refused(url: str, words: str) -> None:
     """An invalid URL is refused before anything is opened."""
     with pytest.raises(DriverUrlError, match=words):
         open_driver(url, Context(KR16))
+
+
+def test_the_files_of_a_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Programs in the form of the controller, without a complaint of krllint; the configuration names this computer."""
+    from cell.cli import main
+
+    for protocol in ("kvp", "rsi"):
+        with pytest.raises(SystemExit) as end:
+            main(["controller", protocol, "--out", str(tmp_path), "--address", "10.0.0.7", "--cycle-ms", "12"])
+        assert not end.value.code
+    names = {"sc_kvp.src", "sc_kvp.dat", "sc_rsi.src", "sc_rsi.rsi.xml", "sc_rsi_ethernet.xml"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert set(capsys.readouterr().out.split()) == {str(tmp_path / name) for name in names}
+    linted = subprocess.run(
+        [sys.executable, "-m", "krllint", str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert all(f"0 {kind}" in linted.stdout for kind in ("violated", "possible", "found warnings", "found errors"))
+    configuration = ElementTree.parse(tmp_path / "sc_rsi_ethernet.xml").getroot()
+    assert configuration.findtext("CONFIG/IP_NUMBER") == "10.0.0.7"
+    assert "#IPO)" in (tmp_path / "sc_rsi.src").read_text()
+    flow = ElementTree.parse(tmp_path / "sc_rsi.rsi.xml").getroot()
+    assert [each.get("ObjType") for each in flow] == ["AXISCORR", "STOP", "ETHERNET", "AXISCORRMON"]
+    spans = {each.get("Name"): each.get("ParamValue") for each in flow[0].iter("Parameter")}
+    assert (spans["UpperLimA1"], spans["LowerLimA2"]) == ("370.0000", "-190.0000")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("ur",), "valid are: kvp, rsi"),
+        (("rsi", "--cycle-ms", "5"), "it must be 4 or 12"),
+        (("rsi", "--address", "<x>"), "is no address"),
+    ],
+)
+def test_files_that_no_controller_needs(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One sentence each; nothing is written."""
+    from cell.cli import main
+
+    with pytest.raises(SystemExit) as end:
+        main(["controller", *arguments, "--out", str(tmp_path)])
+    assert words in capsys.readouterr().err.replace("\n", " ")
+    assert (end.value.code, list(tmp_path.iterdir())) == (2, [])

@@ -42,6 +42,7 @@ NO_FUNCTION = {
     "robot": "is `cell.world.robot_check.report`",
     "sensors": "is `cell.scene.sensors`",
     "emulate": "is a process of its own",
+    "controller": "writes constant files",
     "live": "is a server",
 }
 WRONG = {

@@ -94,6 +94,21 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
     assert "10 %" in questions[0]
 
 
+def test_the_question_states_what_a_wire_does_not_report() -> None:
+    """A person who answers knows what the connection leaves out."""
+    controller, questions = _Controller(), list[str]()
+    controller.capabilities = replace(controller.capabilities, not_reported="who else writes its variables")
+
+    def yes(question: str) -> str:
+        questions.append(question)
+        return "yes"
+
+    safety.require_confirmation(controller, 0.1, _PLAN, given=None, confirm=yes)
+    assert "; it does not report who else writes its variables. Check that no person" in questions[0]
+    with pytest.raises(UsageError, match="does not report who else writes its variables; check"):
+        safety.require_confirmation(controller, 0.1, _PLAN, given=None, confirm=None)
+
+
 def test_the_digest_of_something_else_is_no_word() -> None:
     """A digest confirms its own motion only. With the digest of the plan, a new path is confirmed at the terminal."""
     other = "c" * 64

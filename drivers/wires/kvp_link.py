@@ -1,0 +1,315 @@
+"""`kvp://`: a KUKA controller with KUKAVARPROXY or C3 Bridge, and the KRL program of `drivers.wires.kvp_program`.
+
+The host of the URL is the controller: `kvp://192.168.0.10:7000`. No option package is needed. A state is a sequence of
+readings, one variable each, with that of the program first: an arm that has ended its move then is at its end in the
+readings that follow.
+"""
+
+import math
+import socket
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from drivers.client import ControllerClient
+from drivers.clock import Clock, RealTimeClock
+from drivers.contract import FULL, Answer, Capabilities, Command, Fault, Flag, Mode, Result, RobotState, Stop
+from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, ProtocolError
+from drivers.limits import Limits
+from drivers.registry import Context, DriverUrl
+from drivers.setpoints import PER_DEGREE, SetPoints, axis_name, frozen
+from drivers.wire import Commit, Give, ReopeningLink, Request, Stage, Take, Timeouts, describe_failure, speed_from_wire
+from drivers.wires import kvp, kvp_program
+
+PORT: Final = 7000
+
+_PROGRAM_ANSWER = 1.0  # longest time until the program reads an order, beside the answer time [s]
+_MAX_POINTS = 10  # written between two looks at the clock
+_NOT_ACTIVE = 100  # fault code of a program that does not run
+_PROGRAM_STATES = {"#P_FREE": 1, "#P_RESET": 2, "#P_STOP": 3, "#P_END": 4}
+_NOT_REPORTED = (
+    "its accelerations, nor which other clients of its network write its variables; in T1 it drives slower than "
+    "commanded"
+)
+
+
+class KvpLine:
+    """The connection to the proxy.
+
+    Args:
+        host: name or address of the controller.
+        port: of the proxy.
+        seconds: longest time for an answer.
+    """
+
+    def __init__(self, host: str, port: int, seconds: float) -> None:
+        self.name = f"{host}:{port}"
+        self._address, self._seconds = (host, port), seconds
+        self._socket: socket.socket | None = None
+        self._rest, self._number = b"", 0
+
+    def open(self) -> None:
+        """Connect.
+
+        Raises:
+            LinkLostError: if nothing answers.
+        """
+        self.close()
+        try:
+            self._socket = socket.create_connection(self._address, self._seconds + 1.0)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.settimeout(self._seconds)
+        except OSError as error:
+            raise LinkLostError(
+                f"{self.name} cannot be opened: {describe_failure(error)}; check address and network, and that "
+                "KUKAVARPROXY or C3 Bridge runs on the controller"
+            ) from error
+
+    def close(self) -> None:
+        """Release the connection; allowed twice."""
+        connection, self._socket, self._rest = self._socket, None, b""
+        if connection is not None:
+            connection.close()
+
+    def read(self, name: str) -> str:
+        """Return the value of a variable."""
+        return self._ask(name, None)
+
+    def write(self, name: str, value: str) -> None:
+        """Write a variable."""
+        self._ask(name, value)
+
+    def _ask(self, name: str, value: str | None) -> str:
+        if self._socket is None:
+            raise LinkLostError(f"{self.name} is not open")
+        self._number = self._number % 65535 + 1
+        try:
+            self._socket.sendall(kvp.request(self._number, name, value))
+            while True:
+                messages, self._rest = kvp.split(self._rest)
+                for number, body in messages:
+                    if number == self._number:  # an earlier one answers a request that was given up
+                        return self._value(name, value, body)
+                data = self._socket.recv(1 << 16)
+                if not data:
+                    raise LinkLostError(f"{self.name} closed the connection")
+                self._rest += data
+        except TimeoutError as error:
+            raise AnswerTimeoutError(f"{self.name} gave no answer about {name}") from error
+        except OSError as error:
+            raise LinkLostError(f"{self.name} is gone: {describe_failure(error)}") from error
+
+    def _value(self, name: str, value: str | None, body: bytes) -> str:
+        try:
+            text, is_done = kvp.parse_answer(body)
+        except ValueError as error:
+            raise ProtocolError(f"{self.name} is no KUKAVARPROXY: {error}") from error
+        if not is_done:
+            verb = "read" if value is None else "write"
+            raise ProtocolError(
+                f"{self.name} cannot {verb} {name}; put {kvp_program.NAME}.src and .dat on the controller "
+                "(cell controller kvp)"
+            )
+        return text.strip()
+
+
+class KvpLink(ReopeningLink):
+    """The link to one controller.
+
+    Args:
+        line: the connection.
+        clock: the client's.
+        timeouts: waiting times.
+        limits: limits of the arm.
+        timer: number of the watchdog's timer.
+    """
+
+    def __init__(self, line: KvpLine, clock: Clock, timeouts: Timeouts, limits: Limits, timer: int) -> None:
+        super().__init__(line, clock, timeouts)
+        self._proxy, self._limits, self._timer = line, limits, timer
+        self._axes = [axis_name(axis) for axis in range(len(limits.lower))]
+        self._n_via = 1
+
+    def _ask(self, name: str, value: str | None = None) -> str:
+        """Read a variable, or write a value; a lost connection is opened again at the next use."""
+        try:
+            if value is None:
+                return self._proxy.read(name)
+            self._proxy.write(name, value)
+            return value
+        except LinkLostError:
+            self._drop()
+            raise
+
+    def _max_points(self, axes: int) -> int:
+        return _MAX_POINTS
+
+    def _handshake(self) -> Capabilities:
+        """Read the limits of the axes."""
+        numbers = range(1, len(self._axes) + 1)
+        try:
+            lower, upper = (
+                np.array([float(self._ask(f"${name}[{number}]")) for number in numbers])
+                for name in ("SOFTN_END", "SOFTP_END")
+            )
+        except ValueError as error:
+            raise ProtocolError(f"{self._proxy.name} reports axis limits that are no numbers: {error}") from error
+        able = self._limits.capabilities("KUKA controller (KUKAVARPROXY)", hardware=True, simulated_time=False)
+        own = (np.clip(np.rint(limit * PER_DEGREE), -(2**31), 2**31 - 1) for limit in (lower, upper))
+        low, high = (frozen(each, np.int32) for each in own)
+        return replace(
+            able,
+            lower=np.maximum(able.lower, low),
+            upper=np.minimum(able.upper, high),
+            max_via=kvp_program.MAX_VIA,
+            not_reported=_NOT_REPORTED,
+        )
+
+    def _exchange(self, sequence: int | None, request: Request) -> Answer:
+        match request:
+            case Take() | Give():
+                sign = 1 if isinstance(request, Take) else -1
+                self._ask("SC_TAKE", str(sign * self.session))
+                self._await_zero("SC_TAKE", "the request for the arm")
+                is_granted = sign < 0 or self._state_of_program()["OWNER"] == self.session
+                return Answer(0, Result.OK if is_granted else Result.NOT_OWNER)
+            case Stage():
+                self._write_points(sequence or 0, request.offset, request.points)
+                return Answer(sequence or 0, Result.OK)
+            case Commit():
+                self._write_points(sequence or 0, request.count - len(request.tail), request.tail)
+                self._n_via = request.count
+                percent = math.floor(100.0 * speed_from_wire(request.speed) + 1e-9)
+                return self._order(sequence or 0, kvp_program.MOVE, request.count, percent)
+            case _:
+                return self._order(sequence or 0, kvp_program.RESET, 0, 0)
+
+    def send(self, sequence: int, command: Command) -> Answer:
+        """Send a command once."""
+        if not isinstance(command, Stop):
+            return super().send(sequence, command)
+        self._require_open()
+        self._ask("SC_HALTER", str(self.session))
+        self._ask("SC_HALT", str(sequence))
+        if self._ask("$PRO_STATE1") == "#P_ACTIVE":
+            self._await_zero("SC_HALT", "the stop")
+        return Answer(sequence, Result.OK)  # a program that does not run moves nothing, and stops when it is started
+
+    def _order(self, sequence: int, kind: int, count: int, percent: int) -> Answer:
+        order = {"SESSION": self.session, "NUMBER": sequence, "KIND": kind, "COUNT": count, "SPEED": percent}
+        self._ask("SC_ORDER", _aggregate("SC_ORDER_T", order))
+        deadline = self._clock.now() + self._timeouts.answer + _PROGRAM_ANSWER
+        while self._clock.now() < min(deadline, self.deadline):
+            state = self._state_of_program()
+            if state["ACK"] == sequence:
+                return Answer(sequence, state["RESULT"])
+            if state["OWNER"] != self.session:
+                return Answer(sequence, Result.NOT_OWNER)
+        raise self._no_answer(f"order {sequence}")
+
+    def _write_points(self, sequence: int, offset: int, points: SetPoints) -> None:
+        for number, point in enumerate(points.tolist(), start=offset + 1):
+            axes = ",".join(f"{name} {count / PER_DEGREE:.4f}" for name, count in zip(self._axes, point, strict=True))
+            self._ask(
+                f"SC_POINT[{number}]",
+                f"{{SC_POINT_T: SESSION {self.session},NUMBER {sequence},AXES {{E6AXIS: {axes}}}}}",
+            )
+
+    def _await_zero(self, name: str, subject: str) -> None:
+        """Wait until the program has read a variable."""
+        deadline = self._clock.now() + self._timeouts.answer + _PROGRAM_ANSWER
+        while self._clock.now() < min(deadline, self.deadline):
+            if self._ask(name) == "0":
+                return
+        raise self._no_answer(subject)
+
+    def _no_answer(self, subject: str) -> AnswerTimeoutError:
+        state = self._ask("$PRO_STATE1")
+        return AnswerTimeoutError(
+            f"the program {kvp_program.NAME} does not answer {subject} ({state}); select it at the pendant and start it"
+        )
+
+    def _state_of_program(self) -> dict[str, int]:
+        text = self._ask("SC_STATE")
+        values = {name: int(number) for name, number in kvp.components(text).items()}
+        if not {"BOOT", "OWNER", "ACK", "RESULT", "DONE", "ENDING", "RUNNING", "PASSED", "FAULT"} <= set(values):
+            raise ProtocolError(f"SC_STATE of {self._proxy.name} is {text[:60]!r}; put the program there again")
+        return values
+
+    def _read_state(self) -> RobotState:
+        own = self._state_of_program()
+        if self.session and own["OWNER"] == self.session:
+            self._ask(f"$TIMER[{self._timer}]", str(-self._timeouts.watchdog_ms))
+        program, alarm, stopped = (self._ask(name) for name in ("$PRO_STATE1", "$ALARM_STOP", "$ROB_STOPPED"))
+        axes = kvp.components(self._ask("$AXIS_ACT"))
+        try:
+            override = int(self._ask("$OV_PRO")) * FULL // 100
+            heartbeat = int(self._ask("$ROB_TIMER")) % 65536
+            counts = np.rint(np.array([axes[name] for name in self._axes]) * PER_DEGREE)
+        except (ValueError, KeyError) as error:
+            raise ProtocolError(f"{self._proxy.name} reports impossible values: {error}") from error
+        is_stopped, has_move = stopped == "TRUE", own["RUNNING"] != 0
+        fault, done, ending = own["FAULT"], own["DONE"], own["ENDING"]
+        message = Fault(fault).message if fault in tuple(Fault) else ""
+        if alarm != "TRUE":
+            fault, message = int(Fault.EMERGENCY_STOP), "the emergency stop is pressed"
+        elif program != "#P_ACTIVE" and not (has_move and program == "#P_STOP"):
+            fault = _NOT_ACTIVE + _PROGRAM_STATES.get(program, 0)
+            message = f"the program {kvp_program.NAME} does not run ({program}); select it at the pendant and start it"
+        is_held = has_move and program == "#P_STOP" and is_stopped and not fault
+        if has_move and fault and is_stopped:
+            done, ending = own["RUNNING"], int(Result.FAULTED)
+        at_rest = is_stopped and (is_held or bool(fault) or not has_move)
+        if fault:
+            mode = Mode.EMERGENCY_STOP if fault == Fault.EMERGENCY_STOP else Mode.FAULT
+        elif not at_rest:
+            mode = Mode.MOVING
+        elif done and done == own["ACK"] and ending == Result.OK and not has_move:
+            mode = Mode.IN_POSITION
+        else:
+            mode = Mode.IDLE
+        state = RobotState(
+            mode=mode,
+            axes=frozen(counts, np.int32),
+            at_rest=at_rest,
+            ack_sequence=own["ACK"],
+            ack_result=own["RESULT"],
+            done_sequence=done,
+            done_result=ending,
+            queue_depth=int(has_move),
+            fault_code=fault,
+            fault_message=message,
+            boot=own["BOOT"],
+            owner=own["OWNER"],
+            heartbeat=heartbeat,
+            override=min(max(override, 0), FULL),
+            path=FULL if mode is Mode.IN_POSITION else min(own["PASSED"] * FULL // self._n_via, FULL - 1),
+        )
+        return replace(state, flags=state.flags | Flag.HELD) if is_held else state
+
+
+def _aggregate(kind: str, values: dict[str, int]) -> str:
+    return f"{{{kind}: {','.join(f'{name} {value}' for name, value in values.items())}}}"
+
+
+class KvpDriver(ControllerClient):
+    """A KUKA controller with KUKAVARPROXY or C3 Bridge."""
+
+    @classmethod
+    def from_url(cls, url: DriverUrl, context: Context) -> "KvpDriver":
+        """Make the driver of a `kvp://` URL.
+
+        Raises:
+            DriverUrlError: if it names no host, or an option is invalid.
+        """
+        timeouts = Timeouts.from_url(url)
+        timer = url.integer("timer", kvp_program.TIMER, at_least=1)
+        url.finish()
+        if not url.host or url.path not in ("", "/"):
+            raise DriverUrlError(f"'{url.text}' must name a host, and may name a port: kvp://192.168.0.10:{PORT}")
+        clock = context.clock or RealTimeClock()
+        line = KvpLine(url.host, url.port or PORT, timeouts.answer)
+        link = KvpLink(line, clock, timeouts, context.limits, timer)
+        link.notify = context.notify
+        return cls(link, clock, context.limits, notify=context.notify)

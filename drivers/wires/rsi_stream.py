@@ -1,0 +1,257 @@
+"""The process of `rsi://` that answers the controller's telegrams: a controller whose arm is driven by corrections.
+
+It holds the interpolator (`drivers.simulated_controller`): the path of a move is sampled once for each telegram, so
+time passes with the telegrams, and a position of the arm is never skipped. Telegrams that wait while a newer one has
+arrived would be answered late, and are left out. After one of them, or an answer that the controller counts as late,
+the arm has stood still for a cycle; the path then goes on from where it was, from rest to full speed within `RAMP`
+seconds. Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered
+any more: corrections count from the axes at the beginning of RSI. For the same reason a session that began with
+another client, whose telegrams count late answers, is not answered until the controller has ended it.
+
+The client commands over a connection of its own; its end, also by a kill, is a stop: the arm brakes on its path, then
+RSI is ended.
+"""
+
+import contextlib
+import gc
+import math
+import os
+import select
+import socket
+import sys
+import time
+from dataclasses import replace
+from multiprocessing.connection import Client, Connection
+from typing import Any, Final
+
+import numpy as np
+
+from drivers.contract import Answer, Flag, Mode, Result, RobotState
+from drivers.limits import Limits
+from drivers.profile import TICK, Reference, resting
+from drivers.setpoints import PER_DEGREE, Floats
+from drivers.simulated_controller import Controller
+from drivers.wires import rsi
+
+RAMP: Final = 0.1
+"""Time [s] from rest to full speed after a cycle in which the arm stood still."""
+
+HELD_AFTER: Final = 0.1
+"""Silence of the controller [s] after which the arm is reported as held."""
+
+_NEAR = math.radians(0.02)  # of an axis at its set-point
+_LAST_ANSWERS = 50  # with the end of RSI
+_MAX_WAIT = 0.05
+
+
+class _TelegramClock:
+    """Time of the path [s]; it passes with the telegrams."""
+
+    simulated = False
+    time = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, seconds: float) -> None:
+        raise NotImplementedError("the time of telegrams cannot be waited for")
+
+
+class CorrectedArm:
+    """The arm of a controller that adds corrections (`drivers.simulated_controller.Plant`).
+
+    Args:
+        axes: (6,) axes at the beginning of RSI [rad].
+    """
+
+    def __init__(self, axes: Floats) -> None:
+        self.base, self.actual, self.failure = axes, axes, ""
+        self.reference: Reference = resting(axes)
+        self._elapsed = 0.0
+
+    @property
+    def reported_axes(self) -> Floats:
+        """(6,) axes [rad]: the set-points of an arm that has reached them, else as reported."""
+        return self.reference.end if self.settled else self.actual
+
+    @property
+    def settled(self) -> bool:
+        """Whether the arm is at rest at the end of its reference."""
+        is_near = bool((np.abs(self.actual - self.reference.end) < _NEAR).all())
+        return self._elapsed >= self.reference.duration and is_near
+
+    def follow(self, reference: Reference) -> None:
+        """Take a new reference."""
+        self.reference, self._elapsed = reference, 0.0
+
+    def advance(self, seconds: float) -> None:
+        """Advance along the reference."""
+        self._elapsed += seconds
+        if self.reference.duration - self._elapsed <= TICK:
+            self._elapsed = self.reference.duration
+
+    @property
+    def correction(self) -> Floats:
+        """(6,) correction of the present moment [rad]."""
+        return np.asarray(self.reference.sample(np.array([self._elapsed]))[0][0] - self.base)
+
+
+class Stream:
+    """Answers telegrams and executes commands.
+
+    Args:
+        port: of the telegrams, bound.
+        client: the connection of the client.
+        limits: limits of the arm.
+        silence: longest silence of the controller [s].
+    """
+
+    def __init__(self, port: socket.socket, client: Connection, limits: Limits, silence: float) -> None:
+        self._port, self._client, self._limits, self._silence = port, client, limits, silence
+        self._clock = _TelegramClock()
+        self._controller: Controller | None = None
+        self._arm: CorrectedArm | None = None
+        self._session = self._late = self._counted = 0
+        self._rate, self._last, self._heard = 1.0, 0, 0.0
+        self._cycle_ms = 0  # shortest time between two telegrams; 0: not known
+        self._ending = 0  # remaining answers with the end of RSI
+        self._has_client = True
+
+    def run(self) -> None:
+        """Serve until the client has ended and the arm is at rest."""
+        while self._has_client or self._ending:
+            sources: list[Any] = [self._port, *([self._client] if self._has_client else [])]
+            ready, _, _ = select.select(sources, [], [], _MAX_WAIT)
+            if self._port in ready:
+                self._answer_newest()
+            elif self._client in ready:  # the telegrams come first
+                self._serve_client()
+            self._check_silence()
+
+    def _answer_newest(self) -> None:
+        """Answer the newest telegram; older ones that wait are late already."""
+        newest: tuple[rsi.Telegram, Any] | None = None
+        while True:
+            try:
+                data, sender = self._port.recvfrom(65535)
+            except (BlockingIOError, ConnectionError):
+                break
+            with contextlib.suppress(ValueError):
+                found = rsi.parse_telegram(data)
+                if newest is None or found.ipoc > newest[0].ipoc:
+                    newest = found, sender
+        if newest is None:
+            return
+        telegram, sender = newest
+        axes = np.radians(telegram.axes_deg)
+        if self._arm is None:
+            if telegram.late:  # a session that another client has left: its corrections count from other axes
+                return
+            self._begin(telegram, axes)
+        assert self._arm is not None
+        assert self._controller is not None
+        passed = telegram.ipoc - self._last
+        if passed < 0 or (passed == 0 and self._heard):
+            return  # an old telegram that was delayed
+        self._cycle_ms = min(self._cycle_ms or passed, passed) or self._cycle_ms
+        missed = passed // self._cycle_ms - 1 if self._cycle_ms and self._heard else 0
+        if missed > 0:
+            self._late += missed
+            if missed >= rsi.TIMEOUT_CYCLES:
+                self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
+        if telegram.late < self._counted:
+            self._fail("the controller has started RSI again")
+        if self._arm.failure:  # corrections of an ended session would be wrong in a new one
+            self._last, self._arm.actual = telegram.ipoc, axes
+            return
+        if missed > 0 or telegram.late > self._counted:
+            self._rate = 0.0
+        self._counted = telegram.late
+        self._last, self._heard, self._arm.actual = telegram.ipoc, time.monotonic(), axes
+        cycle = self._cycle_ms / 1000.0
+        self._rate = min(self._rate + cycle / RAMP, 1.0)
+        self._clock.time += self._rate * cycle
+        self._controller.time_to_wait()  # lets the time pass
+        has_ended = not self._has_client and self._is_at_rest()
+        if has_ended:
+            self._ending -= 1
+        self._port.sendto(rsi.answer(telegram.ipoc, np.degrees(self._arm.correction), end=has_ended), sender)
+
+    def _begin(self, telegram: rsi.Telegram, axes: Floats) -> None:
+        """Start the controller at the axes of the first telegram."""
+        low, high = (np.radians(limit / PER_DEGREE) for limit in (self._limits.lower, self._limits.upper))
+        self._arm = CorrectedArm(np.clip(axes, low, high))
+        self._arm.base = axes - np.radians(telegram.applied_deg)  # an earlier client may have begun the session
+        self._controller = Controller(self._arm, self._limits, self._clock)
+        self._last = telegram.ipoc
+
+    def _check_silence(self) -> None:
+        is_silent = self._heard and time.monotonic() - self._heard > self._silence
+        if is_silent and not select.select([self._port], [], [], 0.0)[0]:  # this process may itself have paused
+            self._fail(f"the controller has sent no telegram for {self._silence:g} s")
+
+    def _fail(self, cause: str) -> None:
+        if self._arm is not None and self._controller is not None and not self._arm.failure:
+            self._arm.failure = f"{cause}: start {rsi.NAME} at the controller again, then connect again"
+            self._controller.time_to_wait()
+            self._ending = 0
+
+    def _is_at_rest(self) -> bool:
+        return self._controller is None or self._controller.state().at_rest
+
+    def _serve_client(self) -> None:
+        try:
+            name, *arguments = self._client.recv()
+            self._client.send(self._execute(name, arguments))
+        except (EOFError, OSError):
+            self._has_client = False
+            if self._controller is not None and self._arm is not None and not self._arm.failure:
+                self._controller.halt()
+                self._ending = _LAST_ANSWERS
+
+    def _execute(self, name: str, arguments: list[Any]) -> Any:
+        if name == "is ready":
+            return self._controller is not None
+        assert self._controller is not None
+        if name == "state":
+            return self._state()
+        if name == "late":
+            return self._late, self._counted
+        if name == "session":
+            self._session = arguments[0]
+            return Result.OK
+        sequence, command = arguments
+        answer: Answer = self._controller.command(sequence, command)
+        return answer
+
+    def _state(self) -> RobotState:
+        assert self._controller is not None
+        state = self._controller.state()
+        state = replace(state, owner=self._session, heartbeat=int(time.monotonic() * 1000.0) % 65536)
+        if state.mode is Mode.MOVING and time.monotonic() - self._heard > HELD_AFTER:
+            flags = int(Flag.AT_REST | Flag.HELD)
+            state = replace(state, mode=Mode.IDLE, at_rest=True, flags=flags)
+        return state
+
+
+def main() -> None:
+    """Connect to the client and serve it; the key of the connection is on stdin."""
+    address, number = sys.argv[1].rsplit(":", 1)
+    connection = Client((address, int(number)), authkey=bytes.fromhex(sys.stdin.readline().strip()))
+    host, port, limits, silence = connection.recv()
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        udp.bind((host, port))
+    except OSError as error:
+        connection.send(f"{error.strerror or error}")
+        return
+    udp.setblocking(False)
+    connection.send("")
+    gc.disable()
+    with contextlib.suppress(OSError, AttributeError):  # without the right to it, or on another system
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+    Stream(udp, connection, limits, silence).run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,230 @@
+"""`rsi://` on an emulated KUKA controller: corrections of every cycle, holds, late telegrams, ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from drivers.clock import RealTimeClock
+from drivers.contract import Mode
+from drivers.emulated.rsi import RsiController
+from drivers.errors import DriverError, DriverUrlError, FaultError, LinkLostError, StoppedError
+from drivers.registry import Context, DriverUrl
+from drivers.setpoints import PER_DEGREE, from_rad
+from drivers.wires import rsi
+from drivers.wires.rsi_link import RsiDriver
+from tests.support.driver_bench import HOME_Q, KR16
+
+HOME = from_rad(HOME_Q)
+NEAR = (np.stack([HOME, HOME]) + PER_DEGREE * np.array([[2, 0, 0, 0, 0, 3], [4, 1, -1, 2, 0, 3]])).astype(np.int32)
+FAR = (HOME + PER_DEGREE * np.array([40, 0, 0, 0, 0, 0]))[None].astype(np.int32)
+
+KILLED = """
+import sys
+import numpy as np
+from drivers.registry import Context, DriverUrl
+from drivers.wires.rsi_link import RsiDriver
+from tests.support.driver_bench import KR16
+with RsiDriver.from_url(DriverUrl(sys.argv[1]), Context(KR16)) as driver:
+    driver.move(np.array([[int(value) for value in sys.argv[2].split(",")]], dtype=np.int32), 0.2)
+"""
+
+
+@dataclass
+class Bench:
+    """A served controller."""
+
+    controller: RsiController
+    notes: list[str] = field(default_factory=list)
+
+    def driver(self) -> RsiDriver:
+        """Return a driver with a long answer time: the machine may be busy."""
+        url = f"{self.controller.url}?timeout_ms=1000&watchdog_ms=3000&wait_s=5"
+        return RsiDriver.from_url(DriverUrl(url), Context(KR16, notify=self.notes.append))
+
+    def when_moving(self, act: Callable[[], object]) -> threading.Thread:
+        """Start a thread that acts once the arm is under way."""
+
+        def wait_and_act() -> None:
+            while abs(self.controller.axes[0]) < 0.5:
+                threading.Event().wait(0.002)
+            act()
+
+        thread = threading.Thread(target=wait_and_act, daemon=True)
+        thread.start()
+        return thread
+
+    def deviation_deg(self, points: np.ndarray) -> float:
+        """Return the largest sum of axis distances of an executed position from a path of counts."""
+        path = np.concatenate([HOME[None], points]) / PER_DEGREE
+        a, along = path[:-1], np.diff(path, axis=0)
+        ahead = np.array(self.controller.driven)[:, None] - a
+        s = np.clip((ahead * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
+        return float(np.abs(ahead - s[..., None] * along).sum(axis=2).min(axis=1).max())
+
+
+@pytest.fixture(params=[4, 12])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    """Serve a controller in a thread."""
+    controller = RsiController(HOME_Q.copy(), KR16, RealTimeClock(), cycle_ms=request.param)
+    ended = threading.Event()
+    thread = threading.Thread(target=controller.serve, args=(ended.is_set,), daemon=True)
+    thread.start()
+    yield Bench(controller)
+    ended.set()
+    thread.join(10.0)
+    controller.close()
+
+
+def test_moves_follow_their_path(bench: Bench) -> None:
+    """Every position of a cycle is on the straight joint segments; the end is exact."""
+    with bench.driver() as driver:
+        assert "late answers" in driver.capabilities.not_reported
+        state = driver.move(NEAR, 0.5)
+        assert (state.mode, state.axes.tolist()) == (Mode.IN_POSITION, NEAR[-1].tolist())
+        assert bench.deviation_deg(NEAR) < 1e-5
+        assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+    np.testing.assert_allclose(bench.controller.axes, np.degrees(HOME_Q), atol=1e-6)
+    assert bench.controller.ended == {"client": 1, "timeout": 0, "emergency stop": 0}
+
+
+def test_a_second_client_begins_where_the_first_one_ended(bench: Bench) -> None:
+    """Corrections count from the axes at the beginning of RSI."""
+    with bench.driver() as driver:
+        driver.move(NEAR, 1.0)
+    with bench.driver() as driver:
+        assert driver.state().axes.tolist() == NEAR[-1].tolist()
+        assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+
+
+def test_a_stop_ends_the_move_on_its_path(bench: Bench) -> None:
+    """The stop of another thread."""
+    with bench.driver() as driver:
+        thread = bench.when_moving(driver.stop)
+        with pytest.raises(StoppedError):
+            driver.move(FAR, 0.3)
+        thread.join(5.0)
+        state = driver.state()
+        assert state.at_rest
+        assert 0 < state.axes[0] < FAR[0, 0]
+        assert bench.deviation_deg(FAR) < 1e-5
+
+
+def test_a_pause_of_the_process_delays_the_move(bench: Bench) -> None:
+    """Late telegrams are left out: the arm pauses on its path, goes on, and the client is notified."""
+    with bench.driver() as driver:
+        process = driver._link._process  # type: ignore[attr-defined]
+
+        def freeze() -> None:
+            os.kill(process.pid, signal.SIGSTOP)
+            threading.Event().wait(0.2)
+            os.kill(process.pid, signal.SIGCONT)
+
+        thread = bench.when_moving(freeze)
+        assert driver.move(FAR, 0.5).axes.tolist() == FAR[0].tolist()
+        thread.join(5.0)
+        late, counted = driver._link.late_telegrams()  # type: ignore[attr-defined]
+        assert late >= 10
+        assert counted >= 10
+    assert bench.deviation_deg(FAR) < 1e-5
+    assert "late; the arm paused" in bench.notes[0]
+    steps = np.abs(np.diff([axes[0] for axes in bench.controller.driven]))
+    full_deg = np.degrees(KR16.velocity[0]) * 0.5 * bench.controller.cycle_ms / 1000.0
+    assert steps.max() <= full_deg * 1.001
+
+
+def test_a_controller_that_ends_rsi_is_named(bench: Bench) -> None:
+    """After an emergency stop no telegram comes; the move ends by name, and the next connection drives on."""
+    url = f"{bench.controller.url}?timeout_ms=100&watchdog_ms=400&wait_s=5"
+    with RsiDriver.from_url(DriverUrl(url), Context(KR16)) as driver:
+        thread = bench.when_moving(bench.controller.emergency_stop)
+        with pytest.raises(FaultError, match=r"no telegram for 0.4 s: start sc_rsi"):
+            driver.move(FAR, 0.3)
+        thread.join(5.0)
+        with pytest.raises(DriverError, match="start sc_rsi"):
+            driver.reset()
+    assert 0.0 < bench.controller.axes[0] < 40.0
+    bench.controller.emergency_stop(False)
+    with bench.driver() as driver:
+        assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+
+
+def test_a_killed_client_leaves_an_arm_that_stops_on_its_path(bench: Bench) -> None:
+    """The process of the telegrams brakes, ends RSI and ends."""
+    goal = ",".join(map(str, FAR[0].tolist()))
+    client = subprocess.Popen([sys.executable, "-c", KILLED, bench.controller.url, goal])
+    while bench.controller.axes[0] < 1.0 and client.poll() is None:
+        threading.Event().wait(0.005)
+    client.kill()
+    client.wait()
+    threading.Event().wait(2.0)
+    stopped = bench.controller.axes.copy()
+    assert 1.0 <= stopped[0] < 40.0
+    assert bench.controller.ended["client"] == 1
+    assert bench.deviation_deg(FAR) < 1e-5
+    with bench.driver() as driver:
+        assert driver.move(HOME[None], 1.0).at_rest
+
+
+def test_a_new_client_waits_for_the_end_of_an_old_session(bench: Bench) -> None:
+    """If the process of the telegrams is killed, its session goes on until the controller ends it: no jump."""
+    with bench.driver() as driver:
+        driver.move(NEAR, 1.0)
+        process = driver._link._process  # type: ignore[attr-defined]
+        process.kill()
+        process.wait()
+        threading.Event().wait(0.05)
+        with bench.driver() as other:
+            assert bench.controller.ended["timeout"] == 1
+            assert other.state().axes.tolist() == NEAR[-1].tolist()
+            bench.controller.driven.clear()
+            assert other.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+    steps = np.abs(np.diff(np.concatenate([NEAR[-1:] / PER_DEGREE, bench.controller.driven]), axis=0))
+    assert steps.max() < 2.0
+
+
+def test_a_session_that_a_pause_has_kept_alive_is_continued(bench: Bench) -> None:
+    """A new client reads the applied corrections, so the arm does not jump back to the beginning of RSI."""
+    with bench.driver() as driver:
+        driver.move(NEAR, 1.0)
+        bench.controller.pause(1.5)
+        driver._link._process.kill()  # type: ignore[attr-defined]
+        with bench.driver() as other:
+            assert other.state().axes.tolist() == NEAR[-1].tolist()
+            bench.controller.driven.clear()
+            assert other.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+    steps = np.abs(np.diff(np.concatenate([NEAR[-1:] / PER_DEGREE, bench.controller.driven]), axis=0))
+    assert steps.max() < 2.0
+
+
+def test_urls_and_missing_controllers() -> None:
+    """One sentence each."""
+    for url in ("rsi://", "rsi://127.0.0.1/x"):
+        with pytest.raises(DriverUrlError, match="must name the address of this computer"):
+            RsiDriver.from_url(DriverUrl(url), Context(KR16))
+    driver = RsiDriver.from_url(DriverUrl("rsi://127.0.0.1:49877?wait_s=0.2"), Context(KR16))
+    with pytest.raises(LinkLostError, match=r"no telegram has arrived at 127.0.0.1:49877 for 0.2 s; start the program"):
+        driver.connect()
+    with pytest.raises(LinkLostError, match="cannot be opened"):
+        RsiDriver.from_url(DriverUrl("rsi://203.0.113.7:49877"), Context(KR16)).connect()
+
+
+def test_telegram_of_a_real_controller() -> None:
+    """A telegram with more elements, as controllers send them."""
+    data = (
+        b'<Rob Type="KUKA"><RIst X="93.9531" Y="-347.9674" Z="1844.9703" A="-126.9460" B="24.9226" C="-28.2871"/>'
+        b'<AIPos A1="74.8478" A2="-128.7977" A3="75.8236" A4="102.2260" A5="0.0987" A6="-56.5347"/>'
+        b'<Delay D="3" /><Tech C11="0.0"/><IPOC>4208163634</IPOC></Rob>'
+    )
+    found = rsi.parse_telegram(data)
+    assert found.axes_deg.tolist() == [74.8478, -128.7977, 75.8236, 102.2260, 0.0987, -56.5347]
+    assert (found.ipoc, found.late, found.applied_deg.tolist()) == (4208163634, 3, [0.0] * 6)
+    for wrong in (b"", b"<Rob><IPOC>1</IPOC></Rob>", data.replace(b' A6="-56.5347"', b""), data.replace(b"IPOC", b"X")):
+        with pytest.raises(ValueError, match="telegram without"):
+            rsi.parse_telegram(wrong)
