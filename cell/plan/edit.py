@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
@@ -77,10 +78,10 @@ class EditedViews:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbourhood:
-    """Poses near dropped views, in which no other view is added.
+    """Poses near dropped or banned views, in which no other view is added.
 
     Attributes:
-        T_object_view: (n, 4, 4) poses of the dropped views [m].
+        T_object_view: (n, 4, 4) poses of these views [m].
         distance: between positions [m].
         angle: between viewing axes [rad]; a view that is turned about its axis sees the same from the same place.
     """
@@ -90,7 +91,7 @@ class Neighbourhood:
     angle: float
 
     def contains(self, T_object_view: Floats) -> Bools:
-        """Return (m,) whether each of (m, 4, 4) poses is near a dropped view; these are themselves."""
+        """Return (m,) whether each of (m, 4, 4) poses is near one of the views; these are themselves."""
         apart = np.linalg.norm(T_object_view[:, None, :3, 3] - self.T_object_view[None, :, :3, 3], axis=2)
         cosine = np.einsum("mi,ni->mn", T_object_view[:, :3, 2], self.T_object_view[:, :3, 2])
         is_near = (apart <= self.distance + SAME_POSE) & (cosine >= np.cos(self.angle) - SAME_POSE)
@@ -164,19 +165,24 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
         edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=wanted.repair)
     else:
         measured = _measured_before(session, settled, before, cell, surface, edited)
+    append = pipeline.appending(session, settled, cell, surface) if wanted.repair else None
+    near_banned = _near(wanted, viewpoints, list(settled.scene.plan.banned))
     pinned = tuple(view for view in settled.scene.plan.pinned if view not in edited.dropped)
     settled = _with_plan(settled, settled.scene.plan.model_copy(update={"pinned": pinned}))
     while True:
         problem = _problem(session, settled, before, wanted, cell, measured, edited, is_moved=is_moved)
         try:
-            problem, plan = pipeline.select_and_connect(session, problem, surface)
+            problem, plan = pipeline.select_and_connect(
+                session, problem, surface, append, is_allowed=lambda T: ~near_banned.contains(T)
+            )
             break
         except PinnedViewError as error:
             edited = _without(session, error, edited, may_leave_out=is_moved and wanted.repair)
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
     annotations: dict[str, object] = {"part": before.report.part, "common_cover": before.is_setup_of_group or None}
     if not is_bounded:
-        annotations["status"] = "Edited by hand; the smallest number of views is not known"
+        status = "Edited by hand; the smallest number of views is not known"
+        annotations["status"] = f"{status}. {plan.searched}" if plan.searched else status
     for view in edited.views:
         if not (plan.matrix.indices == view).any():
             session.note(f"{edited.names[view]} measures none of the samples")
@@ -207,10 +213,8 @@ def _with_bans(
     session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, viewpoints: Viewpoints
 ) -> SettledScene:
     """Ban dropped views and the candidates near them, but neither other views nor candidates that the edit adds."""
-    T = viewpoints.T_object_scanner[:, 0]
     dropped = before.candidate[[number - 1 for number in wanted.drop]]
-    near = Neighbourhood(T[dropped], wanted.dropped_range_mm / 1000, float(np.radians(wanted.dropped_range_deg)))
-    is_near = near.contains(T)
+    is_near = _near(wanted, viewpoints, dropped).contains(viewpoints.T_object_scanner[:, 0])
     is_near[[*np.setdiff1d(before.candidate, dropped), *wanted.add_candidate]] = False
     options = settled.scene.plan
     pinned = tuple(view for view in options.pinned if view not in dropped)
@@ -221,6 +225,12 @@ def _with_bans(
             "dropped view are banned; --dropped-range changes this"
         )
     return _with_plan(settled, options.model_copy(update={"pinned": pinned, "banned": banned}))
+
+
+def _near(wanted: Edit, viewpoints: Viewpoints, which: ArrayLike) -> Neighbourhood:
+    """Return the poses within the range of the edit around some viewpoints."""
+    T = viewpoints.T_object_scanner[np.asarray(which, dtype=np.int64), 0]
+    return Neighbourhood(T, wanted.dropped_range_mm / 1000, float(np.radians(wanted.dropped_range_deg)))
 
 
 def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
@@ -352,7 +362,7 @@ def _with_bound(
     cover, M, file = plan.cover, plan.matrix, before.plan
     coverable = float(M.samples.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
     target = file.coverage.target_on_samples or 1.0
-    holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
+    holds = len(problem.candidates) == len(before.candidates) and cover.covered_area >= (target - _ROUNDING) * coverable
     holds &= not set(edited.dropped) & set(before.scene.plan.pinned)
     holds &= file.lower_bound > 1 or len(cover.views) == 1
     holds &= file.max_coverage is None and problem.request.regions is None and not is_moved

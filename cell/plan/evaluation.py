@@ -32,6 +32,8 @@ from planner.viewpoints.attainable import probe_attainable
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.why.why import REASON_OF_VERDICT, Reason, diagnose
 
+_ATTAINABLE_ERROR = 1e-3  # largest standard error of the attainable coverage, as a share of the surface
+_LEAST_SEARCHED = 200  # samples for which a pose is searched, if so many are open
 _N_DIAGNOSED = 300  # unmeasured samples of a region for which the reason is determined
 _LISTED_OPTIONS = (
     "max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order",
@@ -460,20 +462,23 @@ def attainable_coverage(
 ) -> schema.Attainable:
     """Estimate the coverage by any pose of this robot, on the held-out samples.
 
-    Coverage by the plan and by reachable candidates is known for all samples. Up to `Effort.searched_samples` of the
-    others are drawn, and a measuring pose is searched for each.
+    Coverage by the plan and by reachable candidates is known for all samples. Of the others, as many are drawn as a
+    standard error of `_ATTAINABLE_ERROR` needs at most, up to `Effort.searched_samples`; a measuring pose is searched
+    for each.
     """
     known, samples = problem.prediction, problem.prediction.samples
     is_known = np.asarray(known.coverable.covered | visible.covered)
     rest = np.flatnonzero(~is_known)
-    some = np.sort(rng.permutation(rest)[: problem.request.effort.searched_samples])
+    total = float(samples.areas.sum())
+    left = float(samples.areas[rest].sum()) / total
+    # A share that is estimated from n samples has a standard error of at most 1 / (2 sqrt(n)).
+    count = max(_LEAST_SEARCHED, int(np.ceil((left / (2 * _ATTAINABLE_ERROR)) ** 2)))
+    some = np.sort(rng.permutation(rest)[: min(count, problem.request.effort.searched_samples)])
     searched = pick_samples(samples, some)
     found = probe_attainable(
         RayTargets.of(searched.points, searched.normals, searched.region),
         view_evaluator(problem.cell, known.scanner, known.casters),
     )
-    total = float(samples.areas.sum())
-    left = float(samples.areas[rest].sum()) / total
     share = estimated_share(found.measured, len(rest))
     out_of_reach = estimated_share(found.visible & ~found.measured, len(rest)).value
     return schema.Attainable(

@@ -6,7 +6,7 @@ candidates, rows, requests and verdicts. A finished stage is on disk before the 
 """
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -70,6 +70,7 @@ from planner.geometry.sampling import draw_samples
 from planner.ports import Progress
 from planner.timing.limits import scale_limits
 from planner.timing.motion import Motion, retime
+from planner.values import Bools, Floats
 from planner.viewpoints import growth
 from planner.viewpoints.pose_search import SearchProgress
 from planner.viewpoints.viewpoints import Viewpoints
@@ -317,8 +318,9 @@ def make_problem(session: PlanSession, settled: SettledScene, cell: Cell, measur
 
 
 def select_and_connect(
-    session: PlanSession, problem: SelectionProblem, surface: PartSurface, append: Append | None = None
-) -> tuple[SelectionProblem, ConnectedPlan]:
+    session: PlanSession, problem: SelectionProblem, surface: PartSurface, append: Append | None = None,
+    *, is_allowed: Callable[[Floats], Bools] | None = None,
+) -> tuple[SelectionProblem, ConnectedPlan]:  # fmt: skip
     """Select the views, order them and plan the motion.
 
     Args:
@@ -326,6 +328,7 @@ def select_and_connect(
         problem: candidates and request.
         surface: the part, for further rows.
         append: appends moved views to the candidates; None: poses are not searched.
+        is_allowed: (n, 4, 4) [m] -> (n,) whether a view may be moved to each pose; None: all poses are allowed.
 
     Returns:
         The problem with added rows and candidates, and the plan.
@@ -340,7 +343,9 @@ def select_and_connect(
     if append is not None and is_searched:
         with _search_stage(session, len(start[1].cover.views)) as report:
             draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
-            moved_problem, moved, search = search_views(*start, surface, append, draws, others, rng, report)
+            moved_problem, moved, search = search_views(
+                *start, surface, append, draws, others, rng, report, is_allowed=is_allowed
+            )
             choice = moved_problem, moved
     initial = start
     if is_searched and choice[1] is start[1]:

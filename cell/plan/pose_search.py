@@ -55,6 +55,9 @@ N_EVALUATED = 8_000
 EVALUATED_PER_VIEW = 300
 """The same for each view, if that is more: with fewer, many views measure the samples instead of the surface."""
 
+N_COMPARED = 40_000
+"""Samples on which found views are compared with those from which the search begins."""
+
 _HALVINGS = 40  # of an interval that begins with (0, 1)
 
 
@@ -66,12 +69,14 @@ class PoseSearch:
         effort: name or number of the requested effort.
         evaluated: evaluated poses.
         n_views: number of views at its end.
+        n_pinned: number of views among these that the request names.
         is_interrupted: whether Ctrl-C ended it.
     """
 
     effort: str
     evaluated: int
     n_views: int
+    n_pinned: int = 0
     is_interrupted: bool = False
 
     def sentence(self, n_views: int) -> str:
@@ -81,7 +86,7 @@ class PoseSearch:
         effort = f"interrupted, {self.effort}" if self.is_interrupted else self.effort
         begin = f"Pose search ({effort} effort, {self.evaluated:,} poses)"
         if n_views <= self.n_views:
-            return f"{begin} found no plan with {n_views - 1}."
+            return f"{begin} found no plan with {n_views - 1}{' that keeps the given views' * bool(self.n_pinned)}."
         return f"{begin} found {self.n_views} views, which could not be connected."
 
 
@@ -109,6 +114,7 @@ def skip_reason(problem: SelectionProblem) -> str:
 def search_views(
     problem: SelectionProblem, selection: Selection, surface: PartSurface, append: Append, rng: np.random.Generator,
     fresh: np.random.Generator, selection_rng: np.random.Generator, progress: SearchProgress,
+    *, is_allowed: Callable[[Floats], Bools] | None = None,
 ) -> tuple[SelectionProblem, Selection, PoseSearch]:  # fmt: skip
     """Find fewer views that measure as much of the held-out samples, among all reachable poses.
 
@@ -121,6 +127,7 @@ def search_views(
         fresh: samples on which found views are compared with the given ones.
         selection_rng: randomness of the selection among all candidates.
         progress: called with evaluated poses, effort, and the number of views found so far.
+        is_allowed: (n, 4, 4) [m] -> (n,) whether a view may be moved to each pose; None: all poses are allowed.
 
     Returns:
         Problem and selection with the moved views; the given ones if there are no fewer views.
@@ -139,28 +146,37 @@ def search_views(
         samples, weights = draw_evaluated([(problem.M, problem.usable())], surface, len(initial), rng)
         table = make_table(samples, known)
         coverable = table.measured(pool.T_object_scanner).any(axis=0)
-        # In random order, so that sums over some of them are spread over the surface.
-        needed = rng.permutation(np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0)))
+        needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0))
         shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
         return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), is_interrupted=True)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
+
+    def are_reachable(T_object_scanner: Floats) -> Bools:
+        reachable = evaluator.are_reachable(T_object_scanner[:, None])
+        return reachable if is_allowed is None else reachable & is_allowed(T_object_scanner)
+
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.
-    found = search_poses(
-        initial, pool, [Place(table.pick(needed), lambda T: evaluator.are_reachable(T[:, None]))],
-        weights[needed] / weights[coverable].sum(), shortfall=shortfall, effort=effort, rng=rng,
+    result = search_poses(
+        initial, pool, [Place(table.pick(needed), are_reachable)], weights[needed] / weights[coverable].sum(),
+        shortfall=shortfall, effort=effort, rng=rng,
         progress=lambda done, total, n_views: progress(done, total, len(fixed) + n_views),
     )  # fmt: skip
-    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), found.is_interrupted)
-    if len(found.views) == len(initial):
-        return problem, selection, result
-    more, moved = _appended(problem, selection, join_poses([fixed, found.views]), append)
+    # Views that hold the requirement on the fresh samples may miss the requested share of the held-out samples.
+    fewer = [views for views in result.found if len(views) < len(initial)]
+    while fewer and known.share_of_coverable(join_poses([fixed, fewer[-1]]).T_object_scanner[:, None]) < plan.coverage:
+        fewer.pop()
+    n_views = len(fixed) + len(fewer[-1] if fewer else initial)
+    numbers = PoseSearch(plan.effort, result.evaluated, n_views, len(fixed), result.is_interrupted)
+    if not fewer:
+        return problem, selection, numbers
+    more, moved = _appended(problem, selection, join_poses([fixed, fewer[-1]]), append)
     # A selection among all candidates may need still fewer views; it must measure no less than the requested share.
     among_all = select_views(more, selection_rng, start=moved, search=Search.CONTINUED)
     is_better = len(among_all.cover.views) < len(moved.cover.views) and bool((among_all.shares >= least).all())
-    return more, among_all if is_better else moved.with_bounds_of(among_all), result
+    return more, among_all if is_better else moved.with_bounds_of(among_all), numbers
 
 
 def _shortfall(
@@ -169,25 +185,20 @@ def _shortfall(
 ) -> Shortfall:  # fmt: skip
     """Return the comparison of views with those of a selection, on samples that neither was chosen by.
 
-    Found views measure as much more of the fresh samples as the selection misses `least` of the held-out samples, but
-    no less than the selection, and the requested share of the held-out samples.
+    Found views measure as much more of these samples as the selection misses `least` of the held-out samples, but no
+    less than the selection.
     """
-    known, requested = problem.prediction, problem.request.plan.coverage
-    samples = draw_samples(surface.reference, surface.planning, len(known.samples), fresh)
-    memo, coverable = VisibilityMemo(samples, known.scanner, known.casters), known.coverable.fraction
+    known = problem.prediction
+    samples = draw_samples(surface.reference, surface.planning, min(N_COMPARED, len(known.samples)), fresh)
+    memo = VisibilityMemo(samples, known.scanner, known.casters)
 
     def measured(T_object_scanner: Floats) -> float:
-        return float(samples.areas[memo.measured(T_object_scanner)].sum() / samples.areas.sum())
+        """Return the measured share of the coverable area."""
+        return float(memo.measured(T_object_scanner).mean()) / known.coverable.fraction  # samples of equal area
 
     more = max(0.0, least - float(selection.shares[0]))
-    goal = measured(problem.candidates.T_object_scanner[selection.cover.views]) / coverable + more
-
-    def shortfall(views: SearchPoses) -> float:
-        T = join_poses([fixed, views]).T_object_scanner[:, None]
-        missing = goal - measured(T) / coverable
-        return missing if missing > 0 else max(missing, requested - known.share_of_coverable(T))
-
-    return shortfall
+    goal = measured(problem.candidates.T_object_scanner[selection.cover.views]) + more
+    return lambda views: goal - measured(join_poses([fixed, views]).T_object_scanner[:, None])
 
 
 def effort_of(request: Request, n_views: int) -> int:

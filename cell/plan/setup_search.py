@@ -526,7 +526,7 @@ def search_setups(
 
     found = search_poses(
         np.concatenate(initial), pool, places, weights / weights.sum(), shortfall=shortfall, effort=effort, rng=rng
-    ).views
+    ).found[-1]
     if len(found) == n_views:
         return known, matrices, left
     for place, row in enumerate(used):

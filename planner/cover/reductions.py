@@ -58,15 +58,11 @@ from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
 AREA_UNITS = 2**52
 """Approximate sum of the areas in units: sums stay below 2^53 and are exact in float64 too."""
 
-COST_UNITS = 2**17
-"""Units of the largest cost, if costs are not whole numbers: the rounding error is below 1e-5 of it.
+COST_UNITS = 2**40
+"""Units of the largest cost, if costs are not whole numbers: the rounding error is below 1e-12 of it."""
 
-Forced columns do not count: they may cost far more. The error is far below the accuracy of motion and scan times, and
-one unit is more than the tolerances of the solvers.
-"""
-
-MAX_COST_SUM = 2.0**62
-"""Sum of all costs in units above which a problem is refused: sums are int64."""
+MAX_COST_SUM = 2**62
+"""Largest sum of all costs in units: sums are int64. With more than four million columns there are fewer units."""
 
 TARGET_TOLERANCE = Fraction(1, 10**12)
 """Share of a target below full coverage that may be missing (rounding of the areas)."""
@@ -282,7 +278,8 @@ def _integer_costs(
 ) -> tuple[Ints, Ints, float]:
     """Return the costs of columns and groups as integers, and the caller's cost of one unit.
 
-    The largest cost of a column that may be selected or not has `COST_UNITS`: a forced one may be far more expensive.
+    The largest cost of a column that may be selected or not has `COST_UNITS`. A forced one has at most as many, however
+    expensive it is.
 
     Args:
         costs: (V,) as the caller gives them.
@@ -300,24 +297,21 @@ def _integer_costs(
     if len(bad):
         raise PlannerError(f"costs[{bad[0]}] is {given[bad[0]]}; a cost must be a finite number above zero")
     given[~useful] = given[useful].min(initial=given.max(initial=1.0))
-    both = np.concatenate((given, group_costs))
     top = max(float(given[~forced].max(initial=0.0)), float(group_costs.max(initial=0.0))) or float(
         given.max(initial=1.0)
     )
+    given[forced] = np.minimum(given[forced], top)  # every selection has them, and is priced with the caller's costs
+    both = np.concatenate((given, group_costs))
     if both.max(initial=0.0) <= COST_UNITS and (both == np.rint(both)).all():
         whole = both.astype(np.int64)
         divisor = max(int(np.gcd.reduce(whole)), 1)
         return whole[:n_columns] // divisor, whole[n_columns:] // divisor, float(divisor)
-    if (both / top).sum() * COST_UNITS >= MAX_COST_SUM:
-        raise PlannerError(
-            f"the costs span too many orders of magnitude ({both[both > 0].min():g} to {both.max():g}) to be summed "
-            "exactly; leave out the forced columns, or round the costs"
-        )
-    units = np.maximum(np.rint(given / top * COST_UNITS), 1.0).astype(np.int64)
-    groups = np.rint(group_costs / top * COST_UNITS).astype(np.int64)
+    highest = min(COST_UNITS, MAX_COST_SUM // max(len(both), 1))
+    units = np.maximum(np.rint(given / top * highest), 1.0).astype(np.int64)
+    groups = np.rint(group_costs / top * highest).astype(np.int64)
     if (units == units[0]).all() and not groups.any():
         return np.ones(n_columns, dtype=np.int64), groups, top
-    return units, groups, top / COST_UNITS
+    return units, groups, top / highest
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,9 +1,10 @@
 """Direction table: free directions of surface samples, so that a pose is evaluated without casting rays.
 
-Seen from a sample, whether a position beyond all occluders is visible depends on its direction only. The table has one
-bit per sample and direction. Directions are the nodes of an octahedral grid of the hemisphere about the normal
-(Cigolle et al. 2014, https://jcgt.org/published/0003/02/01/): a look-up needs two sums and a division. Both lines of
-sight of a pose, of the source and of the sensor, are looked up at the nearest node.
+Seen from a sample, whether a position beyond all occluders is visible depends on its direction only. The table has two
+bits per sample and direction: whether it is free, and whether a neighbouring direction differs. Directions are the
+nodes of an octahedral grid of the hemisphere about the normal (Cigolle et al. 2014,
+https://jcgt.org/published/0003/02/01/): a look-up needs two sums and a division. Both lines of sight of a pose, of the
+source and of the sensor, are looked up at the nearest node.
 
 The grid is turned about the normal by another angle for each sample. Otherwise parallel faces would round the same
 direction to the same side, and views along an axis would be wrong on all of them together.
@@ -33,11 +34,13 @@ N_NODES = 33
 N_RANGES = 4
 """Ranges of distance between sample and source or sensor, each with its own table of occluders."""
 
-_COARSEST_PART, _COARSEST_OTHERS = 2, 4  # nodes between two nodes of the first level; powers of two
+_COARSEST = 4  # nodes between two nodes of the first level; a power of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
+_PACKED = 64  # samples whose nodes are packed together: arrays that stay in the cache
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
 _UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
+_FREE, _EDGE = 1, 2  # bits of a node
 # Marks of a pose and a row besides 0, not measured, and 1, measured: lines of sight near an edge of the part or of
 # occluders.
 _SOURCE_PART, _SENSOR_PART, _SOURCE_OTHERS, _SENSOR_OTHERS = 2, 4, 8, 16
@@ -54,12 +57,10 @@ class DirectionTable(Value):
     Attributes:
         targets: the S samples.
         frames: (S, 12) point [m], normal, tangent and bitangent of each sample.
-        bits: (S, B) nodes that the part leaves free, packed.
-        edge_bits: (S, B) nodes with a neighbour that differs from them, packed.
+        nodes: (S, B) packed nodes: whether the part leaves them free, and whether they have a neighbour that differs.
         casters: of the part and of everything else.
-        near: (S,) row of each sample in `near_bits`; -1: no occluder is near.
-        near_bits: (M, N_RANGES, B) nodes that occluders leave free, packed, for each range of distance.
-        near_edge_bits: (M, N_RANGES, B) of these, nodes with a neighbour in direction or range that differs, packed.
+        near: (S,) row of each sample in `near_nodes`; -1: no occluder is near.
+        near_nodes: (M, N_RANGES, B) the same for occluders, for each range of distance; the next range is a neighbour.
         ranges: (2,) beginning [m] of the first range, and number of ranges for each metre.
         scanner: sensor model.
         limits: (13,) compiled limits of the scanner; None: its `reject` is called.
@@ -67,12 +68,10 @@ class DirectionTable(Value):
 
     targets: RayTargets
     frames: Annotated[Floats32, "S 12"]
-    bits: Annotated[Bytes, "S B"]
-    edge_bits: Annotated[Bytes, "S B"]
+    nodes: Annotated[Bytes, "S B"]
     casters: Sequence[RayCaster]
     near: Annotated[Ints, "S"]
-    near_bits: Annotated[Bytes, "M R B"]
-    near_edge_bits: Annotated[Bytes, "M R B"]
+    near_nodes: Annotated[Bytes, "M R B"]
     ranges: Annotated[Floats32, "2"]
     scanner: Scanner
     limits: Annotated[Floats32, "13"] | None
@@ -100,22 +99,21 @@ class DirectionTable(Value):
         tangent, bitangent = _tangents(normals, 2 * np.pi * (_GOLDEN * np.arange(len(targets)) % 1.0))
         frames = np.concatenate([points, normals, tangent, bitangent], axis=1).astype(np.float32)
         lifted = np.ascontiguousarray(targets.lifted)
-        bits = _cast(lifted, frames, (part,), far, _COARSEST_PART)
+        nodes = _pack(_cast(lifted, frames, (part,), far)[:, None])[:, 0]
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
-        free = _cast(lifted, frames, occluders, float(lengths[-1]), _COARSEST_OTHERS)
-        some = np.flatnonzero((free != _all_free()).any(axis=1))
+        free = _cast(lifted, frames, occluders, float(lengths[-1]))
+        some = np.flatnonzero((free == 0).any(axis=(1, 2)))
         by_range = [free[some]]
         for length in reversed(lengths[:-1]):  # a direction that is free at one length is free at shorter ones
-            by_range.append(_cast(lifted[some], frames[some], occluders, float(length), _COARSEST_OTHERS, by_range[-1]))
+            by_range.append(_cast(lifted[some], frames[some], occluders, float(length), by_range[-1]))
         row_of = np.full(len(targets), -1)
         row_of[some] = np.arange(len(some))
-        near_bits = np.stack(by_range[::-1], axis=1)
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
         return cls(
-            targets, frames, bits, _edges(bits[:, None])[:, 0], (part, *occluders), row_of, near_bits,
-            _edges(near_bits), ranges, scanner, compiled_limits,
+            targets, frames, nodes, (part, *occluders), row_of, _pack(np.stack(by_range[::-1], axis=1)), ranges,
+            scanner, compiled_limits,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -126,15 +124,11 @@ class DirectionTable(Value):
         targets = self.targets
         region = None if targets.region is None else targets.region[rows]
         some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
-        return replace(
-            self, targets=some, frames=self.frames[rows], bits=self.bits[rows], edge_bits=self.edge_bits[rows],
-            near=self.near[rows],
-        )  # fmt: skip
+        return replace(self, targets=some, frames=self.frames[rows], nodes=self.nodes[rows], near=self.near[rows])
 
     def without(self, rows: Bools) -> "DirectionTable":
         """Return the table with (S,) selected samples occluded in all directions."""
-        bits, edge_bits = (np.where(rows[:, None], np.uint8(0), each) for each in (self.bits, self.edge_bits))
-        return replace(self, bits=bits, edge_bits=edge_bits)
+        return replace(self, nodes=np.where(rows[:, None], np.uint8(0), self.nodes))
 
     def weights_measured(
         self, T_object_scanner: Floats, rows: Ints, starts: Ints, weights: Floats, thresholds: Floats
@@ -157,7 +151,7 @@ class DirectionTable(Value):
             return sums
         poses = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1)
         sum_weights(
-            self.frames, self.bits, self.near, self.near_bits, self.ranges, rows, starts, weights[rows], poses,
+            self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, starts, weights[rows], poses,
             self.limits, thresholds, sums,
         )  # fmt: skip
         return sums
@@ -171,8 +165,7 @@ class DirectionTable(Value):
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
             mark_rows(
-                self.frames, self.bits, self.edge_bits, self.near, self.near_bits, self.near_edge_bits, self.ranges,
-                rows, poses, self.limits, found,
+                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses, self.limits, found
             )  # fmt: skip
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
@@ -180,7 +173,7 @@ class DirectionTable(Value):
                 some = slice(first, first + together)
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
             found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
-            found[:, ~self.bits[rows].any(axis=1)] = 0
+            found[:, ~self.nodes[rows].any(axis=1)] = 0
         self._decide_edges(T_object_scanner, rows, found)
         return np.asarray(found > 0)
 
@@ -234,100 +227,83 @@ def _node_directions() -> Floats32:
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=np.float32)
 
 
-def _all_free() -> Bytes:
-    """Return the packed nodes (B,) of a sample that sees in all directions."""
-    return np.packbits(np.ones(N_NODES * N_NODES, dtype=np.uint8), bitorder="little")
+def _pack(free: Bytes) -> Bytes:
+    """Return the packed nodes (M, R, B) of free ones (M, R, N, N); edges have a neighbour that differs from them."""
+    M, R = free.shape[:2]
+    packed = np.empty((M, R, (N_NODES * N_NODES + 3) // 4), dtype=np.uint8)
+    states = np.zeros((_PACKED, R, 4 * packed.shape[2]), dtype=np.uint8)
+    for first in range(0, M, _PACKED):
+        some = free[first : first + _PACKED]
+        n = len(some)
+        states[:n, :, : N_NODES * N_NODES] = (_FREE * some + _EDGE * _edges(some)).reshape(n, R, N_NODES * N_NODES)
+        quarters = [states[:n, :, k::4] << 2 * k for k in range(4)]
+        packed[first : first + n] = quarters[0] | quarters[1] | quarters[2] | quarters[3]
+    return packed
 
 
-def _edges(bits: Bytes) -> Bytes:
-    """Return the packed nodes (M, R, B) that have a neighbour that differs from them."""
-    free = np.unpackbits(bits, axis=2, count=N_NODES * N_NODES, bitorder="little")
-    edges = mark_edges(free.reshape(*bits.shape[:2], N_NODES, N_NODES))
-    return np.packbits(edges.reshape(free.shape), axis=2, bitorder="little")
+def _edges(free: Bytes) -> Bools:
+    """Return which nodes of (M, R, N, N) have a neighbour, in direction or range, that differs from them."""
+    found = np.zeros(free.shape, dtype=np.bool_)
+    every, ahead, behind = slice(None), slice(1, None), slice(None, -1)
+    for one, two in (
+        ((every, ahead, every, every), (every, behind, every, every)),
+        ((every, every, ahead, every), (every, every, behind, every)),
+        ((every, every, every, ahead), (every, every, every, behind)),
+        ((every, every, ahead, ahead), (every, every, behind, behind)),
+        ((every, every, ahead, behind), (every, every, behind, ahead)),
+    ):
+        differs = free[one] != free[two]
+        found[one] |= differs
+        found[two] |= differs
+    return found
 
 
 def _cast(
-    lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, step: int,
-    known: Bytes | None = None,
-) -> Bytes:  # fmt: skip
-    """Return (s, B) whether each node of s samples is free up to a length [m], packed.
+    lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, known: Bytes | None = None
+) -> Bytes:
+    """Return (s, N, N) whether each node of s samples is free up to a length [m].
 
     Args:
         lifted: (s, 3) origins [m].
         frames: (s, 12) of the samples.
         casters: of what may occlude.
         length: of the rays [m].
-        step: nodes between two nodes of the first level.
-        known: (s, B) nodes that are free at a greater length, packed.
+        known: (s, N, N) nodes that are free at a greater length.
     """
-    nodes = _node_directions()
-    bits = np.empty((len(lifted), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
+    directions_of_nodes = _node_directions()
+    free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
+    free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
     for first in range(0, len(lifted), _TOGETHER):
         some = slice(first, first + _TOGETHER)
-        origins, local = lifted[some], frames[some]
-        free = np.full((len(origins), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
-        free[:, ::step, ::step] = _TO_CAST
-        is_known = None
-        if known is not None:
-            is_known = np.unpackbits(known[some], axis=1, count=N_NODES * N_NODES, bitorder="little").view(np.bool_)
-        level = step
+        origins, local, part = lifted[some], frames[some], free[some]
+        step = _COARSEST
         while True:
-            if is_known is not None:
-                free[(free == _TO_CAST) & is_known.reshape(free.shape)] = 1
-            sample, node = list_nodes(free, level)
-            directions = turn_nodes(nodes, local, sample, node)
+            if known is not None:
+                part[(part == _TO_CAST) & (known[some] == 1)] = 1
+            is_cast = part[:, ::step, ::step] == _TO_CAST
+            sample, i, j = np.unravel_index(np.flatnonzero(is_cast), is_cast.shape)
+            node = step * (i * N_NODES + j)
+            directions = turn_nodes(directions_of_nodes, local, sample, node)
             is_free = np.ones(len(sample), dtype=np.bool_)
             for caster in casters:
                 alive = np.flatnonzero(is_free)
                 is_free[alive] = ~caster.blocked_along(origins[sample[alive]], directions[alive], length)
-            free.reshape(len(origins), -1)[sample, node] = is_free
-            if level == 1:
+            part.reshape(len(origins), -1)[sample, node] = is_free
+            if step == 1:
                 break
-            level //= 2
-            subdivide(free, level)
-        bits[some] = np.packbits(free.reshape(len(origins), -1), axis=1, bitorder="little")
-    return bits
+            step //= 2
+            _subdivide(part, step)
+    return free
 
 
-@compiled
-def mark_edges(free: Bytes) -> Bytes:
-    """Return which nodes of (M, R, N, N) have a neighbour, in direction or range, that differs from them."""
-    found = np.zeros(free.shape, dtype=np.uint8)
-    size = free.shape[2]
-    for s in range(free.shape[0]):
-        for r in range(free.shape[1]):
-            for i in range(size):
-                for j in range(size):
-                    value = free[s, r, i, j]
-                    if r + 1 < free.shape[1] and free[s, r + 1, i, j] != value:
-                        found[s, r, i, j] = found[s, r + 1, i, j] = 1
-                    if j + 1 < size and free[s, r, i, j + 1] != value:
-                        found[s, r, i, j] = found[s, r, i, j + 1] = 1
-                    if i + 1 == size:
-                        continue
-                    for k in range(max(j - 1, 0), min(j + 2, size)):
-                        if free[s, r, i + 1, k] != value:
-                            found[s, r, i, j] = found[s, r, i + 1, k] = 1
-    return found
-
-
-@compiled
-def list_nodes(free: Bytes, step: int) -> tuple[Ints, Ints]:
-    """Return sample and node of all nodes that must be cast, of those at multiples of a step."""
-    size, count = free.shape[1], 0
-    for s in range(free.shape[0]):
-        for i in range(0, size, step):
-            for j in range(0, size, step):
-                count += free[s, i, j] == _TO_CAST
-    sample, node = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    k = 0
-    for s in range(free.shape[0]):
-        for i in range(0, size, step):
-            for j in range(0, size, step):
-                if free[s, i, j] == _TO_CAST:
-                    sample[k], node[k] = s, i * size + j
-                    k += 1
-    return sample, node
+def _subdivide(free: Bytes, step: int) -> None:
+    """Set the nodes of the next finer level: the value of their coarser neighbours, or `_TO_CAST` if these differ."""
+    coarse = free[:, :: 2 * step, :: 2 * step]
+    a, b, c, d = coarse[:, :-1, :-1], coarse[:, 1:, :-1], coarse[:, :-1, 1:], coarse[:, 1:, 1:]
+    to_cast = np.uint8(_TO_CAST)
+    free[:, step :: 2 * step, :: 2 * step] = np.where(coarse[:, :-1] == coarse[:, 1:], coarse[:, :-1], to_cast)
+    free[:, :: 2 * step, step :: 2 * step] = np.where(coarse[:, :, :-1] == coarse[:, :, 1:], coarse[:, :, :-1], to_cast)
+    free[:, step :: 2 * step, step :: 2 * step] = np.where((a == b) & (a == c) & (a == d), a, to_cast)
 
 
 @compiled
@@ -422,9 +398,9 @@ def find_nodes(block: Floats32, pose: Floats32, limits: Floats32, nodes: Ints32,
 
 
 @compiled
-def is_free(bits: Bytes, node: int) -> bool:
-    """Return whether a node of a packed row (B,) is set."""
-    return bool((bits[node >> 3] >> (node & 7)) & 1)
+def state_of(nodes: Bytes, node: int) -> int:
+    """Return the bits of a node in a packed row (B,)."""
+    return int((nodes[node >> 2] >> (2 * (node & 3))) & 3)
 
 
 @compiled
@@ -435,16 +411,16 @@ def range_of(squared: float, ranges: Floats32) -> int:
 
 @compiled
 def sum_weights(
-    frames: Floats32, bits: Bytes, near: Ints, near_bits: Bytes, ranges: Floats32, rows: Ints, starts: Ints,
+    frames: Floats32, table: Bytes, near: Ints, near_table: Bytes, ranges: Floats32, rows: Ints, starts: Ints,
     weights: Floats, poses: Floats32, limits: Floats32, thresholds: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Sum the weights of the rows that poses measure by the table alone.
 
     Args:
         frames: of the samples.
-        bits: of the samples.
+        table: packed nodes of the samples.
         near: of the samples.
-        near_bits: of samples near occluders.
+        near_table: packed nodes of samples near occluders.
         ranges: of distance.
         rows: (m,) samples of all n sets.
         starts: (n + 1,) first row of each set.
@@ -468,13 +444,13 @@ def sum_weights(
                     if nodes[0, m] < 0:
                         continue
                     row, source, sensor = rows[first + m], nodes[0, m], nodes[1, m]
-                    if not (is_free(bits[row], source) and is_free(bits[row], sensor)):
+                    if not state_of(table[row], source) & state_of(table[row], sensor) & _FREE:
                         continue
                     if near[row] >= 0:
-                        others = near_bits[near[row]]
-                        if not is_free(others[range_of(squared[0, m], ranges)], source):
+                        others = near_table[near[row]]
+                        if not state_of(others[range_of(squared[0, m], ranges)], source) & _FREE:
                             continue
-                        if not is_free(others[range_of(squared[1, m], ranges)], sensor):
+                        if not state_of(others[range_of(squared[1, m], ranges)], sensor) & _FREE:
                             continue
                     total += weights[first + m]
                 if total + left < thresholds[k]:
@@ -484,18 +460,16 @@ def sum_weights(
 
 @compiled
 def mark_rows(
-    frames: Floats32, bits: Bytes, edge_bits: Bytes, near: Ints, near_bits: Bytes, near_edge_bits: Bytes,
-    ranges: Floats32, rows: Ints, poses: Floats32, limits: Floats32, found: Bytes,
+    frames: Floats32, table: Bytes, near: Ints, near_table: Bytes, ranges: Floats32, rows: Ints, poses: Floats32,
+    limits: Floats32, found: Bytes,
 ) -> None:  # fmt: skip
     """Mark the rows that poses measure, with further marks where that is uncertain.
 
     Args:
         frames: of the samples.
-        bits: of the samples.
-        edge_bits: of the samples.
+        table: packed nodes of the samples.
         near: of the samples.
-        near_bits: of samples near occluders.
-        near_edge_bits: of samples near occluders.
+        near_table: packed nodes of samples near occluders.
         ranges: of distance.
         rows: (m,) samples.
         poses: (n, 18) from `_packed`.
@@ -514,16 +488,17 @@ def mark_rows(
                 row, mark = rows[first + m], 1
                 for end in range(2):
                     node = nodes[end, m]
-                    if is_free(edge_bits[row], node):
+                    state = state_of(table[row], node)
+                    if state & _EDGE:
                         mark |= _SENSOR_PART if end else _SOURCE_PART
-                    elif not is_free(bits[row], node):
+                    elif not state:
                         mark = 0
                         break
                     if near[row] >= 0:
-                        level = range_of(squared[end, m], ranges)
-                        if is_free(near_edge_bits[near[row], level], node):
+                        state = state_of(near_table[near[row], range_of(squared[end, m], ranges)], node)
+                        if state & _EDGE:
                             mark |= _SENSOR_OTHERS if end else _SOURCE_OTHERS
-                        elif not is_free(near_bits[near[row], level], node):
+                        elif not state:
                             mark = 0
                             break
                 found[k, first + m] = mark

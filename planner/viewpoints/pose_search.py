@@ -133,12 +133,13 @@ class SearchResult:
     """Result of a search.
 
     Attributes:
-        views: the fewest views that passed the exact test; the initial ones if there are none.
+        found: views that hold the requirement: the initial ones, then fewer and fewer, the last ones moved to a larger
+            area if that was possible.
         evaluated: number of evaluated poses.
         is_interrupted: whether Ctrl-C ended the search.
     """
 
-    views: SearchPoses
+    found: Sequence[SearchPoses]
     evaluated: int
     is_interrupted: bool = False
 
@@ -167,27 +168,27 @@ def search_poses(
         progress: called with evaluated poses, effort and number of views so far.
 
     Returns:
-        The result; Ctrl-C ends the search with the fewest views so far.
+        The result; Ctrl-C ends the search with the views so far.
     """
-    best = pool.pick(initial)
-    count, before_last_part = max(1, len(best) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
+    found = [pool.pick(initial)]
+    count, before_last_part = max(1, len(initial) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
     search = None
     try:
         search = _Search(pool, places, weights, effort, rng, progress)
-        while search.evaluated < before_last_part and len(best) > 1:
-            count = min(count, len(best) - 1)
-            found = search.repaired(best, count, shortfall, before_last_part)
-            if found is not None:
-                best = found
+        while search.evaluated < before_last_part and len(found[-1]) > 1:
+            count = min(count, len(found[-1]) - 1)
+            fewer = search.repaired(found[-1], count, shortfall, before_last_part)
+            if fewer is not None:
+                found.append(fewer)
             elif count > 1:
                 count //= 2
-        if len(best) < len(initial):
-            best = search.with_larger_area(best, shortfall)
+        if len(found) > 1 and (moved := search.with_larger_area(found[-1], shortfall)) is not None:
+            found.append(moved)
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
-        return SearchResult(best, 0 if search is None else search.evaluated, is_interrupted=True)
-    return SearchResult(best, search.evaluated)
+        return SearchResult(found, 0 if search is None else search.evaluated, is_interrupted=True)
+    return SearchResult(found, search.evaluated)
 
 
 class _Search:
@@ -199,6 +200,7 @@ class _Search:
     ) -> None:  # fmt: skip
         self.pool, self.places, self.weights = pool, places, weights
         self.effort, self.rng, self.progress = effort, rng, progress
+        self.order = rng.permutation(len(weights))  # sums over the first of them are spread over the surface
         self.evaluated, self.rounds = 0, 0
         self.pool_measured = self._measured(pool)
         self.pool_of_row = csr_array(self.pool_measured.T)
@@ -235,8 +237,8 @@ class _Search:
             self._report(len(start))
         return None
 
-    def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses:
-        """Return the views moved to a larger area with the remaining effort, if exact rays confirm it."""
+    def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses | None:
+        """Return the views moved to a larger area with the remaining effort; None if exact rays do not confirm it."""
         self._set(start, self._measured(start))
         best, best_area = start, self._area()
         while self.evaluated < self.effort:
@@ -244,7 +246,7 @@ class _Search:
             if (area := self._area()) > best_area:
                 best, best_area = self.views, area
             self._report(len(start))
-        return best if shortfall(best) < shortfall(start) else start
+        return best if shortfall(best) < shortfall(start) else None
 
     def _measured(self, poses: SearchPoses) -> Bools:
         """Return (n, S) whether each pose measures each sample."""
@@ -293,7 +295,7 @@ class _Search:
         """
         n, T = len(self.views), self._perturbed()
         accepted = _TEMPERATURE * np.log(self.rng.random(n))
-        rows, starts = list_open_rows(self.measured, self.count)
+        rows, starts = list_open_rows(self.measured, self.count, self.order)
         least = self._own_weights(rows, starts) + accepted
         area = self._sums(T, rows, starts, least)
         best = np.argsort(-area, axis=1, kind="stable")[:, :_TESTED]
@@ -354,12 +356,13 @@ class _Search:
 
 
 @compiled
-def list_open_rows(measured: Bools, count: Ints) -> tuple[Ints, Ints]:
+def list_open_rows(measured: Bools, count: Ints, order: Ints) -> tuple[Ints, Ints]:
     """List for each of n views the rows that no other view measures.
 
     Args:
         measured: (n, S) whether each view measures each row.
         count: (S,) views that measure each row.
+        order: (S,) rows in the order in which they are listed.
 
     Returns:
         The rows of all views, and the (n + 1,) first one of each.
@@ -371,7 +374,7 @@ def list_open_rows(measured: Bools, count: Ints) -> tuple[Ints, Ints]:
             starts[view + 1] += count[row] == measured[view, row]
     rows, k = np.empty(starts[n], dtype=np.int64), 0
     for view in range(n):
-        for row in range(len(count)):
+        for row in order:
             if count[row] == measured[view, row]:
                 rows[k] = row
                 k += 1

@@ -144,3 +144,19 @@ def test_the_effort_of_a_tree_is_charged() -> None:
     below = round(least(instance)) - 1
     assert search_by_number(instance, np.ones(90, dtype=bool), every, below, budget) == (None, True)
     assert budget.spent > 50_000
+
+
+@pytest.mark.parametrize("targets", [(0.5, 0.9, 0.98, 0.7), (1.0, 0.9, 0.98, 0.7), (0.3, 0.9, 0.2, 0.1), (0.99,) * 4])
+def test_the_bound_of_regions_is_no_weaker_than_the_linear_relaxation(targets: tuple[float, ...]) -> None:
+    """The bound on the number of columns is the relaxation of all targets together, rounded up, or higher."""
+    M, areas = medium(1)
+    region, n_columns = np.arange(len(areas)) % 4, M.shape[1]
+    by_region = np.zeros((4, len(areas)))
+    by_region[region, np.arange(len(areas))] = areas
+    slack = (1 - np.array(targets)) * by_region.sum(axis=1)
+    A = np.block([[-M.astype(float), -np.eye(len(areas))], [np.zeros((4, n_columns)), by_region]])
+    costs = np.r_[np.ones(n_columns), np.zeros(len(areas))]
+    relaxation = linprog(costs, A_ub=A, b_ub=np.r_[-np.ones(len(areas)), slack], bounds=(0, 1)).fun
+    problem = CoverProblem(csr_array(M), areas, region=region, region_coverage=targets)
+    found = solve(problem, rng=np.random.default_rng(0))
+    assert np.ceil(relaxation - 1e-6) <= found.lower_bound <= len(found.views)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from planner.cover import SOLVERS, Cover, CoverProblem, CoverStatus, Overlap, solve
@@ -392,8 +393,27 @@ def test_an_expensive_forced_column_does_not_round_the_others(is_pinned: bool) -
     assert found.lower_bound == 3
 
 
-def test_costs_whose_sum_overflows_are_refused() -> None:
-    """A forced column whose cost is no int64 in units of the others is refused."""
+def test_a_forced_column_of_any_cost_is_priced_exactly() -> None:
+    """The cost of a forced column is no int64 in units of the others, and is part of cost and bound all the same."""
     problem = CoverProblem(np.eye(2, dtype=bool), np.ones(2), costs=[1e20, 1.5], pinned=[0], coverage=0.4)
-    with pytest.raises(PlannerError, match="orders of magnitude"):
-        solve(problem, rng=np.random.default_rng(0))
+    found = solve(problem, rng=np.random.default_rng(0))
+    assert (found.views.tolist(), found.status, found.cost_bound) == ([0], CoverStatus.PROVEN, 1e20)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_costs_over_twelve_orders_of_magnitude(seed: int) -> None:
+    """The cover costs no more than one that HiGHS finds from expensive to cheap columns: no cost is rounded away."""
+    rng = np.random.default_rng(seed)
+    matrix = rng.random((40, 60)) < 0.15
+    costs = np.sort(10 ** rng.uniform(-6, 6, 60))
+    matrix[~matrix.any(axis=1), 59] = True
+    found = solve(CoverProblem(matrix, np.ones(40), costs=costs), rng=np.random.default_rng(0))
+    cost = float(costs[found.views].sum())
+    low, high = np.zeros(60), np.ones(60)
+    for block in (costs > 1e2, (costs > 1e-2) & (costs <= 1e2), costs <= 1e-2):
+        scaled = np.where(block, costs / costs[block].max(), 0.0)
+        rows = LinearConstraint(matrix.astype(np.float64), lb=1)
+        low[block] = high[block] = np.round(
+            milp(scaled, constraints=[rows], bounds=Bounds(low, high), integrality=np.ones(60)).x[block]
+        )
+    assert cost <= float(costs @ low) * (1 + 1e-9)
