@@ -109,13 +109,17 @@ def test_the_motion_keeps_every_limit(run: dict[str, Any]) -> None:
 
 
 def fcl_shapes(folder: Path) -> dict[str, list[tuple[str, Any, np.ndarray]]]:
-    """Return the primitives of cell.xml per body with their pose in the body, parsed without MuJoCo."""
+    """Return the convex shapes of cell.xml per body with their pose in the body, parsed without MuJoCo."""
     tree = ET.parse(folder / "cell.xml").getroot()
     type_of = {}
     for default in tree.iter("default"):  # a class without a type inherits it; the default of shapes is a box
         geom = default.find("geom")
         if default.get("class") and geom is not None:
             type_of[default.get("class")] = geom.get("type", "box")
+    corners = {
+        mesh.get("name"): np.array(mesh.get("vertex", "").split(), dtype=float).reshape(-1, 3)
+        for mesh in tree.iter("mesh")
+    }
     found: dict[str, list[tuple[str, Any, np.ndarray]]] = {}
 
     def visit(body: ET.Element, name: str, inherited: str | None) -> None:
@@ -131,6 +135,11 @@ def fcl_shapes(folder: Path) -> dict[str, list[tuple[str, Any, np.ndarray]]]:
                 found.setdefault(name, []).append((geom.get("name", ""), fcl.Box(*(2 * s for s in size)), T))
             elif kind == "cylinder":
                 found.setdefault(name, []).append((geom.get("name", ""), fcl.Cylinder(size[0], 2 * size[1]), T))
+            elif kind == "mesh" and name != "object":
+                hull = trimesh.convex.convex_hull(corners[geom.get("mesh")])
+                faces = np.column_stack([np.full(len(hull.faces), 3), hull.faces]).astype(np.int32).ravel()
+                solid = fcl.Convex(np.array(hull.vertices), len(hull.faces), faces)
+                found.setdefault(name, []).append((geom.get("name", ""), solid, T))
         for child in body.findall("body"):
             visit(child, child.get("name", ""), inherited)
 
