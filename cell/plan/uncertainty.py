@@ -2,7 +2,7 @@
 
 The uncertainty of a mean falls with the root of the number of points, and that of a pose error with the root of the
 number of views. A characteristic with U above its limit therefore raises the number of views that its samples demand,
-and the views are selected again with all rows.
+and views are added to those that answer the request until the demands are met. Bounds are those of the request alone.
 """
 
 import logging
@@ -17,6 +17,7 @@ from cell.inspect.measured import Association, MeasuredFeature
 from cell.inspect.prediction import predict_features, predicted_measurements
 from cell.plan.selection import N_FRESH, Search, Selection, SelectionProblem, measure_rows, select_views
 from cell.world.measurability import PartSurface
+from planner.cover import CoverStatus
 from planner.geometry.sampling import draw_samples, pick_samples
 from planner.measurability.matrix import append_rows
 from planner.values import Ints
@@ -32,6 +33,7 @@ MOST_TIMES = 2.0
 MISSED = 1.5
 """Factor of a characteristic of which too little is measured: its samples become rows that two views measure."""
 
+_IMPROVED = 0.9  # of the points that a characteristic needed; with less of a gain no more views are added for it
 _MARGIN = 1.2  # of the needed number of points: samples are measured by whole numbers of views
 _ROWS = 600  # rows that a round adds at most
 
@@ -40,7 +42,7 @@ def add_views_for_uncertainty(
     problem: SelectionProblem, selection: Selection, surface: PartSurface, plan: InspectionPlan,
     rng: np.random.Generator, fresh: np.random.Generator,
 ) -> tuple[SelectionProblem, Selection, tuple[str, ...]]:  # fmt: skip
-    """Select views again until the predicted uncertainty of every characteristic is within its limit.
+    """Add views until the predicted uncertainty of every characteristic is within its limit.
 
     Args:
         problem: candidates and request, for which `Request.allows_swaps` holds.
@@ -54,8 +56,11 @@ def add_views_for_uncertainty(
         The problem with its rows and demands, the views, and a sentence for each characteristic that no reasonable
         number of views keeps.
     """
-    association, known = Association(surface.reference, plan), problem.prediction
+    association, known, before = Association(surface.reference, plan), problem.prediction, selection
+    pinned = tuple(dict.fromkeys((*problem.request.plan.pinned, *before.cover.views.tolist())))
+    with_pins = problem.request.plan.model_copy(update={"pinned": pinned})
     demand: Ints = np.ones(len(surface.reference.faces), dtype=np.int64)
+    last = [np.inf] * len(plan.characteristics)
     for left in reversed(range(ROUNDS + 1)):
         T = problem.candidates.T_object_scanner[selection.cover.views]
         features = predict_features(association, T, known.scanner, known.casters)
@@ -63,17 +68,23 @@ def add_views_for_uncertainty(
         times = [_needed_times(plan, each) for each in predicted]
         log.info("%d views; needed times of points: %s", len(T), np.round(times, 2).tolist())
         raised = demand.copy()
-        for each, factor in zip(predicted, times, strict=True) if left else ():
-            if 1.0 < factor <= MOST_TIMES:
+        for each, factor, earlier in zip(predicted, times, last, strict=True) if left else ():
+            if 1.0 < factor <= min(MOST_TIMES, _IMPROVED * earlier):
                 _raise_demand(raised, plan, each, features, association, factor)
+        last = times
         if (raised == demand).all():
             break
         new = np.flatnonzero((raised > 1) & (demand == 1))
         demand = raised
         problem = _with_rows(problem, surface, new, fresh)
         problem = replace(problem, request=replace(problem.request, demand=demand))
-        selection = select_views(problem, rng, start=selection, search=Search.CONTINUED)
-        selection = select_views(problem, rng, start=selection)
+        adding = replace(problem, request=replace(problem.request, plan=with_pins))
+        selection = select_views(adding, rng, start=selection, search=Search.CONTINUED)
+        selection = select_views(adding, rng, start=selection)
+    bound = min(before.cover.lower_bound, len(selection.cover.views))
+    status = CoverStatus.PROVEN if bound == len(selection.cover.views) else CoverStatus.BOUNDED
+    cover = replace(selection.cover, lower_bound=bound, status=status)
+    selection = replace(selection, cover=cover, sentence=cover.sentence, cost_bound=before.cost_bound)
     return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
 
 
@@ -81,7 +92,7 @@ def _causes(
     plan: InspectionPlan, predicted: Sequence[Measurement], times: Sequence[float], association: Association,
     demand: Ints,
 ) -> Iterator[str]:  # fmt: skip
-    """Yield a sentence for each characteristic that is not kept."""
+    """Yield a sentence for each characteristic whose requirement is not met."""
     for each, factor in zip(predicted, times, strict=True):
         name = each.characteristic.name
         if factor > MOST_TIMES:
@@ -92,7 +103,7 @@ def _causes(
         elif factor > 1:
             surfaces = association.surfaces[each.characteristic.feature]
             views = int(max(demand[own.triangles].max() for own in surfaces))
-            yield f"{name}: not kept with {views} views of each sample, or all that can measure it"
+            yield f"{name}: the requirement is not met with {views} views of each sample, or all that can measure it"
 
 
 def _needed_times(plan: InspectionPlan, predicted: Measurement) -> float:
