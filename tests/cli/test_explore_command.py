@@ -214,7 +214,7 @@ def test_stages_on_the_measured_surface_measure_new_samples(on_measured: Path, p
         assert surface is not None
         assert paths.measured(number).read_bytes() == ply.mesh_bytes(surface)
         assert run.mesh("reference.ply").areas.sum() == pytest.approx(surface.areas.sum(), rel=1e-6)
-        assert cKDTree(surface.vertices).query(run.mesh("planning.ply").vertices)[0].max() < 0.005
+        assert cKDTree(surface.vertices).query(run.mesh("planning.ply").vertices)[0].max() < 0.01
         M, plan = run.measurability, run.plan
         cell = read_cell(run)
         poses = np.stack([scan.T_reported for scan in scans])[:, None]
