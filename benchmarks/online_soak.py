@@ -116,7 +116,7 @@ def _kvp() -> Iterator[Bench]:
 
 @contextmanager
 def _rsi() -> Iterator[Bench]:
-    controller = RsiController(to_rad(HOME), KR16, RealTimeClock())
+    controller = RsiController(to_rad(HOME), RealTimeClock())
 
     def count_wrong(start: SetPoints, goal: SetPoints, outcome: str) -> int:
         rows, controller.driven = np.array(controller.driven).reshape(-1, 6), []

@@ -153,7 +153,7 @@ def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, a
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
     try:
-        controller = RsiController(to_rad(from_rad(home)), arm.limits, clock, options.port, options.cycle_ms, injector)
+        controller = RsiController(to_rad(from_rad(home)), clock, options.port, options.cycle_ms, injector)
     except DriverError as error:
         raise DriverFailureError(str(error)) from error
     try:

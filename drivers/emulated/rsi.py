@@ -17,8 +17,7 @@ from drivers.clock import Clock
 from drivers.emulated.faults import Injector
 from drivers.emulated.serve import LOOPBACK
 from drivers.errors import LinkError
-from drivers.limits import Limits
-from drivers.setpoints import PER_DEGREE, Floats
+from drivers.setpoints import Floats
 from drivers.wires import rsi
 
 _MAX_STEP: Final = 0.02
@@ -29,7 +28,6 @@ class RsiController:
 
     Args:
         q: (6,) axes [rad].
-        limits: limits of the axes.
         clock: real time.
         port: of the client on the loopback interface; 0 selects a free one.
         cycle_ms: 4 or 12.
@@ -47,7 +45,6 @@ class RsiController:
     def __init__(
         self,
         q: Floats,
-        limits: Limits,
         clock: Clock,
         port: int = 0,
         cycle_ms: int = 4,
@@ -61,7 +58,7 @@ class RsiController:
         self._socket.setblocking(False)
         self._client = LOOPBACK, port or _free_port()
         self.url = f"rsi://{LOOPBACK}:{self._client[1]}"
-        self._limits, self._clock, self._injector = limits, clock, injector
+        self._clock, self._injector = clock, injector
         self.cycle_ms = cycle_ms
         self.axes = np.degrees(q)
         self.driven: list[Floats] = []
@@ -143,8 +140,7 @@ class RsiController:
             self._end("client")
             return
         self._is_answered, self._is_attached, self._n_silent = True, True, 0
-        low, high = self._limits.lower / PER_DEGREE, self._limits.upper / PER_DEGREE
-        axes = np.clip(self._base + corrections, low, high)
+        axes = self._base + corrections
         if (axes != self.axes).any():
             self.driven.append(axes)
         self.axes = axes

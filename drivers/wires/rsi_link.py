@@ -8,15 +8,17 @@ process of their own (`drivers.wires.rsi_stream`). The client of this module onl
 import secrets
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, Listener
 from typing import Any, Final
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
 from drivers.contract import Answer, Capabilities, Command, Move, RobotState
-from drivers.errors import DriverUrlError, LinkLostError
+from drivers.errors import DriverUrlError, LinkError, LinkLostError
 from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import AXES
@@ -27,6 +29,7 @@ FIRST_TELEGRAM: Final = 30.0
 """Default time [s] to wait for the controller's first telegram."""
 
 _START = 10.0  # longest time for the process to start [s]
+_LOOK = 0.1  # time between two looks at a process that starts [s]
 _END = 5.0  # longest time for it to end [s]
 _NOT_REPORTED = "its axis limits, nor who else can stop its program; late answers make the arm pause on its path"
 
@@ -51,7 +54,7 @@ class RsiLink:
         self._limits, self._patience = limits, patience
         self._process: subprocess.Popen[bytes] | None = None
         self._stream: Connection | None = None
-        self._late = 0
+        self._late = self._number = 0
         self._is_busy = False
 
     def open(self) -> Capabilities:
@@ -59,12 +62,18 @@ class RsiLink:
 
         Raises:
             LinkLostError: if the port is in use, or no telegram arrives.
+            LinkError: if the arm is outside its limits.
         """
         self.close()
         try:
             self._start_process()
             began = self._clock.now()
-            while not self._ask("is ready"):
+            while True:
+                is_ready, refusal = self._ask("is ready")
+                if refusal:
+                    raise LinkError(refusal)
+                if is_ready:
+                    break
                 if self._clock.now() - began > self._patience:
                     raise LinkLostError(
                         f"no telegram has arrived at {self._name} for {self._patience:g} s; start the program "
@@ -86,7 +95,7 @@ class RsiLink:
         if process is not None:
             try:
                 process.wait(_END)
-            except subprocess.TimeoutExpired:  # no telegrams: nothing moves
+            except subprocess.TimeoutExpired:  # without answers the controller ends RSI with its own error
                 process.kill()
                 process.wait()
 
@@ -131,7 +140,7 @@ class RsiLink:
     def _start_process(self) -> None:
         key = secrets.token_bytes(16)
         with Listener(("127.0.0.1", 0), authkey=key) as listener:
-            listener._listener._socket.settimeout(_START)  # type: ignore[attr-defined]  # accept() has no time-out
+            listener._listener._socket.settimeout(_LOOK)  # type: ignore[attr-defined]  # accept() has no time-out
             where = f"127.0.0.1:{listener.address[1]}"
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "drivers.wires.rsi_stream", where],
@@ -139,26 +148,44 @@ class RsiLink:
                 start_new_session=True,  # Ctrl-C reaches the client, which stops the arm
             )
             assert self._process.stdin is not None
-            self._process.stdin.write(key.hex().encode() + b"\n")
-            self._process.stdin.close()
             try:
-                self._stream = listener.accept()
-            except OSError as error:
+                with self._process.stdin as key_input:
+                    key_input.write(key.hex().encode() + b"\n")
+                self._stream = self._accept(listener, self._process)
+                self._stream.send((*self._address, self._limits, self._timeouts.watchdog))
+                if not self._stream.poll(_START):
+                    raise TimeoutError
+                failure = self._stream.recv()
+            except (EOFError, OSError, AuthenticationError) as error:
                 raise LinkLostError("the process that answers the controller did not start") from error
-        self._stream.send((*self._address, self._limits, self._timeouts.watchdog))
-        if failure := self._stream.recv():
+        if failure:
             raise LinkLostError(f"{self._name} cannot be opened: {failure.lower()}; check the address of this computer")
+
+    @staticmethod
+    def _accept(listener: Listener, process: "subprocess.Popen[bytes]") -> Connection:
+        """Wait until the process connects."""
+        deadline = time.monotonic() + _START
+        while True:
+            try:
+                return listener.accept()
+            except TimeoutError:
+                if process.poll() is not None or time.monotonic() > deadline:
+                    raise
 
     def _ask(self, *request: Any) -> Any:
         if self._stream is None:
             raise LinkLostError("the process that answers the controller is not started")
+        self._number += 1
+        deadline = time.monotonic() + self._timeouts.answer + 1.0
         try:
-            self._stream.send(request)
-            if not self._stream.poll(self._timeouts.answer + 1.0):
-                raise LinkLostError("the process that answers the controller does not answer its client")
-            return self._stream.recv()
+            self._stream.send((self._number, *request))
+            while self._stream.poll(max(deadline - time.monotonic(), 0.0)):
+                number, reply = self._stream.recv()
+                if number == self._number:  # an earlier one answers a request that was given up
+                    return reply
         except (EOFError, OSError) as error:
             raise LinkLostError("the process that answers the controller has ended") from error
+        raise LinkLostError("the process that answers the controller does not answer its client")
 
 
 class RsiDriver(ControllerClient):
@@ -178,6 +205,11 @@ class RsiDriver(ControllerClient):
             raise DriverUrlError(
                 f"'{url.text}' must name the address of this computer in the network of the controller: "
                 f"rsi://192.168.0.20:{rsi.PORT}"
+            )
+        if set(url.host) <= set("0.:"):
+            raise DriverUrlError(
+                f"'{url.text}' names every network of this computer; name its address in the network of the "
+                f"controller: rsi://192.168.0.20:{rsi.PORT}"
             )
         if len(context.limits.lower) != AXES:
             raise DriverUrlError("rsi:// drives six axes, and no rotary table; choose another driver")

@@ -3,13 +3,17 @@
 It holds the interpolator (`drivers.simulated_controller`): the path of a move is sampled once for each telegram, so
 time passes with the telegrams, and a position of the arm is never skipped. Telegrams that wait while a newer one has
 arrived would be answered late, and are left out. After one of them, or an answer that the controller counts as late,
-the arm has stood still for a cycle; the path then goes on from where it was, from rest to full speed within `RAMP`
-seconds. Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered
-any more: corrections count from the axes at the beginning of RSI. For the same reason a session that began with
-another client, whose telegrams count late answers, is not answered until the controller has ended it.
+the arm has stood still for a cycle. The last accepted correction is then repeated until the controller accepts it; the
+path goes on from there, from rest to full speed within `RAMP` seconds. Once the controller is silent for too long, has
+started RSI again, or must have ended it, nothing is answered any more: corrections count from the axes at the beginning
+of RSI. For the same reason a session that began with another client, whose telegrams count late answers, is not
+answered until the controller has ended it.
+
+Only the sender of the first telegram is answered. An arm that begins outside its limits is not driven: its corrections
+stay as they are, and the answer to the client names the axis.
 
 The client commands over a connection of its own; its end, also by a kill, is a stop: the arm brakes on its path, then
-RSI is ended.
+RSI is ended. A client that is silent during a move is a fault: the arm brakes on its path.
 """
 
 import contextlib
@@ -20,16 +24,18 @@ import select
 import socket
 import sys
 import time
+from bisect import bisect_right
 from dataclasses import replace
 from multiprocessing.connection import Client, Connection
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
 
-from drivers.contract import Answer, Flag, Mode, Result, RobotState
+from drivers.contract import Answer, Fault, Flag, Mode, Result, RobotState
 from drivers.limits import Limits
 from drivers.profile import TICK, Reference, resting
-from drivers.setpoints import PER_DEGREE, Floats
+from drivers.setpoints import PER_DEGREE, Floats, axis_name, from_rad, to_rad
 from drivers.simulated_controller import Controller
 from drivers.wires import rsi
 
@@ -42,6 +48,8 @@ HELD_AFTER: Final = 0.1
 _NEAR = math.radians(0.02)  # of an axis at its set-point
 _LAST_ANSWERS = 50  # with the end of RSI
 _MAX_WAIT = 0.05
+_LONGEST_CYCLE_MS = 12
+_ROUNDING = 1  # of reported axes at a limit [1e-4 deg]
 
 
 class _TelegramClock:
@@ -62,38 +70,49 @@ class CorrectedArm:
 
     Args:
         axes: (6,) axes at the beginning of RSI [rad].
+        clock: time of the path.
+
+    Attributes:
+        base: (6,) axes from which the corrections count [rad].
+        actual: (6,) axes as reported [rad].
+        failure: cause of the end of RSI; empty before it.
+        sent: time of the path of the last answer [s].
+        accepted: time of the path of the last accepted answer [s].
     """
 
-    def __init__(self, axes: Floats) -> None:
+    def __init__(self, axes: Floats, clock: _TelegramClock) -> None:
         self.base, self.actual, self.failure = axes, axes, ""
-        self.reference: Reference = resting(axes)
-        self._elapsed = 0.0
+        self.sent = self.accepted = clock.time
+        self._clock = clock
+        self._references: list[tuple[float, Reference]] = [(clock.time, resting(axes))]  # with their begin
 
     @property
     def reported_axes(self) -> Floats:
         """(6,) axes [rad]: the set-points of an arm that has reached them, else as reported."""
-        return self.reference.end if self.settled else self.actual
+        return self._references[-1][1].end if self.settled else self.actual
 
     @property
     def settled(self) -> bool:
-        """Whether the arm is at rest at the end of its reference."""
-        is_near = bool((np.abs(self.actual - self.reference.end) < _NEAR).all())
-        return self._elapsed >= self.reference.duration and is_near
+        """Whether the controller has accepted the end of the reference, and the arm is there."""
+        begin, reference = self._references[-1]
+        is_near = bool((np.abs(self.actual - reference.end) < _NEAR).all())
+        return self.accepted - begin >= reference.duration - TICK and is_near
 
     def follow(self, reference: Reference) -> None:
-        """Take a new reference."""
-        self.reference, self._elapsed = reference, 0.0
+        """Take a new reference; earlier ones are needed as long as their end is not accepted."""
+        self._references = [*self._references[self._active(self.accepted) :], (self._clock.time, reference)]
 
     def advance(self, seconds: float) -> None:
-        """Advance along the reference."""
-        self._elapsed += seconds
-        if self.reference.duration - self._elapsed <= TICK:
-            self._elapsed = self.reference.duration
+        """Do nothing: the arm follows its clock."""
 
     @property
     def correction(self) -> Floats:
-        """(6,) correction of the present moment [rad]."""
-        return np.asarray(self.reference.sample(np.array([self._elapsed]))[0][0] - self.base)
+        """(6,) correction of the last answer [rad]."""
+        begin, reference = self._references[self._active(self.sent)]
+        return np.asarray(reference.sample(np.array([self.sent - begin]))[0][0] - self.base)
+
+    def _active(self, moment: float) -> int:
+        return max(bisect_right(self._references, moment, key=itemgetter(0)) - 1, 0)
 
 
 class Stream:
@@ -103,7 +122,7 @@ class Stream:
         port: of the telegrams, bound.
         client: the connection of the client.
         limits: limits of the arm.
-        silence: longest silence of the controller [s].
+        silence: longest silence of the controller, and of the client during a move [s].
     """
 
     def __init__(self, port: socket.socket, client: Connection, limits: Limits, silence: float) -> None:
@@ -113,8 +132,11 @@ class Stream:
         self._arm: CorrectedArm | None = None
         self._session = self._late = self._counted = 0
         self._rate, self._last, self._heard = 1.0, 0, 0.0
-        self._cycle_ms = 0  # shortest time between two telegrams; 0: not known
+        self._cycle_ms = _LONGEST_CYCLE_MS  # shortest time between two telegrams
         self._ending = 0  # remaining answers with the end of RSI
+        self._sender: Any = None
+        self._refusal = ""  # why the arm is not driven
+        self._commanded = time.monotonic()
         self._has_client = True
 
     def run(self) -> None:
@@ -127,6 +149,7 @@ class Stream:
             elif self._client in ready:  # the telegrams come first
                 self._serve_client()
             self._check_silence()
+            self._check_client()
 
     def _answer_newest(self) -> None:
         """Answer the newest telegram; older ones that wait are late already."""
@@ -136,6 +159,8 @@ class Stream:
                 data, sender = self._port.recvfrom(65535)
             except (BlockingIOError, ConnectionError):
                 break
+            if self._sender not in (None, sender):
+                continue
             with contextlib.suppress(ValueError):
                 found = rsi.parse_telegram(data)
                 if newest is None or found.ipoc > newest[0].ipoc:
@@ -144,17 +169,22 @@ class Stream:
             return
         telegram, sender = newest
         axes = np.radians(telegram.axes_deg)
-        if self._arm is None:
+        if self._sender is None:
             if telegram.late:  # a session that another client has left: its corrections count from other axes
                 return
+            self._sender = sender
             self._begin(telegram, axes)
+        if self._refusal:
+            self._heard = time.monotonic()
+            self._send(telegram.ipoc, telegram.applied_deg, end=not self._has_client)
+            return
         assert self._arm is not None
         assert self._controller is not None
         passed = telegram.ipoc - self._last
         if passed < 0 or (passed == 0 and self._heard):
             return  # an old telegram that was delayed
-        self._cycle_ms = min(self._cycle_ms or passed, passed) or self._cycle_ms
-        missed = passed // self._cycle_ms - 1 if self._cycle_ms and self._heard else 0
+        self._cycle_ms = min(self._cycle_ms, passed or self._cycle_ms)
+        missed = max(passed // self._cycle_ms - 1, 0)
         if missed > 0:
             self._late += missed
             if missed >= rsi.TIMEOUT_CYCLES:
@@ -164,23 +194,41 @@ class Stream:
         if self._arm.failure:  # corrections of an ended session would be wrong in a new one
             self._last, self._arm.actual = telegram.ipoc, axes
             return
-        if missed > 0 or telegram.late > self._counted:
+        is_accepted = telegram.late - self._counted <= missed  # the answer to the last telegram
+        if missed > 0 or not is_accepted:
             self._rate = 0.0
         self._counted = telegram.late
         self._last, self._heard, self._arm.actual = telegram.ipoc, time.monotonic(), axes
-        cycle = self._cycle_ms / 1000.0
-        self._rate = min(self._rate + cycle / RAMP, 1.0)
-        self._clock.time += self._rate * cycle
+        if is_accepted:
+            cycle = self._cycle_ms / 1000.0
+            self._rate = min(self._rate + cycle / RAMP, 1.0)
+            self._arm.accepted = self._arm.sent
+            self._arm.sent += self._rate * cycle
+            self._clock.time = max(self._clock.time, self._arm.sent)
+        else:
+            self._arm.sent = self._arm.accepted
         self._controller.time_to_wait()  # lets the time pass
         has_ended = not self._has_client and self._is_at_rest()
-        if has_ended:
-            self._ending -= 1
-        self._port.sendto(rsi.answer(telegram.ipoc, np.degrees(self._arm.correction), end=has_ended), sender)
+        self._send(telegram.ipoc, np.degrees(self._arm.correction), end=has_ended)
+
+    def _send(self, ipoc: int, corrections_deg: Floats, *, end: bool) -> None:
+        self._ending -= int(end)
+        self._port.sendto(rsi.answer(ipoc, corrections_deg, end=end), self._sender)
 
     def _begin(self, telegram: rsi.Telegram, axes: Floats) -> None:
-        """Start the controller at the axes of the first telegram."""
-        low, high = (np.radians(limit / PER_DEGREE) for limit in (self._limits.lower, self._limits.upper))
-        self._arm = CorrectedArm(np.clip(axes, low, high))
+        """Start the controller at the axes of the first telegram, unless they are outside the limits."""
+        lower, upper = self._limits.lower, self._limits.upper
+        counts = from_rad(axes)
+        outside = np.flatnonzero((counts < lower - _ROUNDING) | (counts > upper + _ROUNDING))
+        if len(outside):
+            axis = int(outside[0])
+            low, at, high = (float(count) / PER_DEGREE for count in (lower[axis], counts[axis], upper[axis]))
+            self._refusal = (
+                f"axis {axis_name(axis)} is at {at:.4f} deg, outside its limits of {low:.4f} to {high:.4f} deg; drive "
+                f"it inside at the pendant, start {rsi.NAME} again, then connect again"
+            )
+            return
+        self._arm = CorrectedArm(np.clip(axes, to_rad(lower), to_rad(upper)), self._clock)  # a rounding error at most
         self._arm.base = axes - np.radians(telegram.applied_deg)  # an earlier client may have begun the session
         self._controller = Controller(self._arm, self._limits, self._clock)
         self._last = telegram.ipoc
@@ -190,28 +238,36 @@ class Stream:
         if is_silent and not select.select([self._port], [], [], 0.0)[0]:  # this process may itself have paused
             self._fail(f"the controller has sent no telegram for {self._silence:g} s")
 
+    def _check_client(self) -> None:
+        is_silent = self._has_client and time.monotonic() - self._commanded > self._silence
+        if is_silent and self._controller is not None and not self._is_at_rest() and not self._client.poll():
+            self._controller.latch(Fault.WATCHDOG)
+
     def _fail(self, cause: str) -> None:
         if self._arm is not None and self._controller is not None and not self._arm.failure:
             self._arm.failure = f"{cause}: start {rsi.NAME} at the controller again, then connect again"
             self._controller.time_to_wait()
-            self._ending = 0
+        self._ending = 0
 
     def _is_at_rest(self) -> bool:
         return self._controller is None or self._controller.state().at_rest
 
     def _serve_client(self) -> None:
         try:
-            name, *arguments = self._client.recv()
-            self._client.send(self._execute(name, arguments))
+            number, name, *arguments = self._client.recv()
+            self._commanded = time.monotonic()
+            self._client.send((number, self._execute(name, arguments)))
         except (EOFError, OSError):
             self._has_client = False
-            if self._controller is not None and self._arm is not None and not self._arm.failure:
+            if self._refusal:
+                self._ending = _LAST_ANSWERS
+            elif self._controller is not None and self._arm is not None and not self._arm.failure:
                 self._controller.halt()
                 self._ending = _LAST_ANSWERS
 
     def _execute(self, name: str, arguments: list[Any]) -> Any:
         if name == "is ready":
-            return self._controller is not None
+            return self._controller is not None, self._refusal
         assert self._controller is not None
         if name == "state":
             return self._state()

@@ -1,12 +1,16 @@
 """`rsi://` on an emulated KUKA controller: corrections of every cycle, holds, late telegrams, ends."""
 
+import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +18,12 @@ import pytest
 from drivers.clock import RealTimeClock
 from drivers.contract import Mode
 from drivers.emulated.rsi import RsiController
-from drivers.errors import DriverError, DriverUrlError, FaultError, LinkLostError, StoppedError
+from drivers.errors import DriverError, DriverUrlError, FaultError, LinkError, LinkLostError, StoppedError
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import PER_DEGREE, from_rad
 from drivers.wires import rsi
 from drivers.wires.rsi_link import RsiDriver
+from drivers.wires.rsi_stream import RAMP
 from tests.support.driver_bench import HOME_Q, KR16
 
 HOME = from_rad(HOME_Q)
@@ -72,7 +77,14 @@ class Bench:
 @pytest.fixture(params=[4, 12])
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     """Serve a controller in a thread."""
-    controller = RsiController(HOME_Q.copy(), KR16, RealTimeClock(), cycle_ms=request.param)
+    with serve(HOME_Q.copy(), request.param) as served:
+        yield served
+
+
+@contextlib.contextmanager
+def serve(q: np.ndarray, cycle_ms: int = 12) -> Iterator[Bench]:
+    """Serve a controller at (6,) axes [rad] in a thread."""
+    controller = RsiController(q, RealTimeClock(), cycle_ms=cycle_ms)
     ended = threading.Event()
     thread = threading.Thread(target=controller.serve, args=(ended.is_set,), daemon=True)
     thread.start()
@@ -203,10 +215,123 @@ def test_a_session_that_a_pause_has_kept_alive_is_continued(bench: Bench) -> Non
     assert steps.max() < 2.0
 
 
+def test_an_arm_outside_its_limits_is_not_driven() -> None:
+    """Its axis is named, no correction is sent, and RSI is ended; a rounding error is allowed."""
+    outside = np.degrees(HOME_Q)
+    outside[0] = KR16.upper[0] / PER_DEGREE + 3.0
+    with serve(np.radians(outside)) as bench:
+        with pytest.raises(LinkError, match=r"axis A1 is at .* deg, outside its limits of .*; drive it inside"):
+            bench.driver().connect()
+        assert bench.controller.driven == []
+        assert bench.controller.ended == {"client": 1, "timeout": 0, "emergency stop": 0}
+    outside[0] -= 2.9999
+    with serve(np.radians(outside)) as bench, bench.driver() as driver:
+        assert driver.state().axes[0] == KR16.upper[0]
+        assert np.abs(np.diff([outside, *bench.controller.driven], axis=0)).max(initial=0.0) < 2e-4
+
+
+@pytest.mark.parametrize("count", [1, 2, 20, 60])
+def test_rejected_answers_are_repeated(bench: Bench, count: int) -> None:
+    """The step between two accepted corrections never exceeds the speed limit; the path goes on from rest."""
+    seen = []
+    goal = (HOME + PER_DEGREE * np.array([110, 0, 0, 0, 0, 0]))[None].astype(np.int32)
+    with bench.driver() as driver:
+
+        def lose() -> None:
+            while bench.controller.axes[0] < 55.0:
+                threading.Event().wait(0.002)
+            bench.controller.lose_answers(count)
+            seen.append(len(bench.controller.driven))
+
+        thread = bench.when_moving(lose)
+        assert driver.move(goal, 1.0).axes.tolist() == goal[0].tolist()
+        thread.join(5.0)
+        assert driver._link.late_telegrams()[1] >= count  # type: ignore[attr-defined]
+    assert bench.deviation_deg(goal) < 1e-5
+    steps = np.abs(np.diff(np.array([np.degrees(HOME_Q), *bench.controller.driven])[:, 0]))
+    cycle = bench.controller.cycle_ms / 1000.0
+    full_deg = np.degrees(KR16.velocity[0]) * cycle
+    assert steps.max() <= full_deg * (1.0 + 1e-6)
+    assert steps[seen[0] - 2] > 0.9 * full_deg  # lost at full speed
+    assert steps[seen[0] - 1 : seen[0] + 3].min() <= full_deg * cycle / RAMP * (1.0 + 1e-6)
+
+
+def test_a_silent_client_is_a_fault() -> None:
+    """The process of the telegrams brakes the arm of a client that hangs during a move; a reset clears it."""
+    with serve(HOME_Q.copy(), 4) as bench:
+        goal = ",".join(map(str, FAR[0].tolist()))
+        url = f"{bench.controller.url}?timeout_ms=100&watchdog_ms=300"
+        client = subprocess.Popen([sys.executable, "-c", KILLED, url, goal], stderr=subprocess.PIPE, text=True)
+        while bench.controller.axes[0] < 1.0 and client.poll() is None:
+            threading.Event().wait(0.005)
+        os.kill(client.pid, signal.SIGSTOP)
+        threading.Event().wait(1.2)
+        stopped = bench.controller.axes.copy()
+        threading.Event().wait(0.3)
+        assert bench.controller.axes.tolist() == stopped.tolist()
+        assert 1.0 <= stopped[0] < 30.0
+        os.kill(client.pid, signal.SIGCONT)
+        _, message = client.communicate(timeout=20.0)
+        assert "FaultError" in message
+        assert "the heartbeat of the client was lost" in message
+        assert bench.deviation_deg(FAR) < 1e-5
+
+
+def test_telegrams_of_other_senders_are_ignored(bench: Bench) -> None:
+    """The arm belongs to the sender of the first telegram."""
+    with bench.driver() as driver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+        telegram = rsi.telegram(rsi.Telegram(10**9, np.degrees(HOME_Q) + 5.0, 0, np.zeros(6)))
+        port = int(bench.controller.url.rpartition(":")[2])
+        thread = bench.when_moving(lambda: foreign.sendto(telegram, ("127.0.0.1", port)))
+        assert driver.move(FAR, 0.5).axes.tolist() == FAR[0].tolist()
+        thread.join(5.0)
+        foreign.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            foreign.recv(1000)
+    assert bench.deviation_deg(FAR) < 1e-5
+
+
+def test_a_late_reply_of_the_process_is_dropped() -> None:
+    """After a time-out every reply still belongs to its request."""
+    with serve(HOME_Q.copy(), 12) as bench:
+        url = f"{bench.controller.url}?timeout_ms=30&watchdog_ms=3000&wait_s=5"
+        with RsiDriver.from_url(DriverUrl(url), Context(KR16)) as driver:
+            process = driver._link._process  # type: ignore[attr-defined]
+            os.kill(process.pid, signal.SIGSTOP)
+            with pytest.raises(LinkLostError, match="does not answer its client"):
+                driver.state()
+            os.kill(process.pid, signal.SIGCONT)
+            driver._link.late_telegrams()  # type: ignore[attr-defined]
+            threading.Event().wait(0.2)
+            late, counted = driver._link.late_telegrams()  # type: ignore[attr-defined]
+            assert late >= 50
+            assert counted >= 50
+            assert driver.state().axes.tolist() == HOME.tolist()
+
+
+def test_a_process_that_dies_at_its_start_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before and after it has connected."""
+    connected = "Client(('127.0.0.1', int(sys.argv[3].split(':')[1])), authkey=bytes.fromhex(input())).recv()\n"
+    for name, line in (("first", ""), ("second", connected)):
+        program = tmp_path / name
+        program.write_text(f"#!{sys.executable}\nimport sys\nfrom multiprocessing.connection import Client\n{line}")
+        program.chmod(0o755)
+        driver = RsiDriver.from_url(DriverUrl("rsi://127.0.0.1:49878"), Context(KR16))
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "executable", str(program))
+            began = time.monotonic()
+            with pytest.raises(LinkLostError, match="the process that answers the controller did not start"):
+                driver.connect()
+            assert time.monotonic() - began < 15.0
+
+
 def test_urls_and_missing_controllers() -> None:
     """One sentence each."""
     for url in ("rsi://", "rsi://127.0.0.1/x"):
         with pytest.raises(DriverUrlError, match="must name the address of this computer"):
+            RsiDriver.from_url(DriverUrl(url), Context(KR16))
+    for url in ("rsi://0.0.0.0", "rsi://0:49152", "rsi://[::]:49152"):
+        with pytest.raises(DriverUrlError, match="names every network of this computer; name its address"):
             RsiDriver.from_url(DriverUrl(url), Context(KR16))
     driver = RsiDriver.from_url(DriverUrl("rsi://127.0.0.1:49877?wait_s=0.2"), Context(KR16))
     with pytest.raises(LinkLostError, match=r"no telegram has arrived at 127.0.0.1:49877 for 0.2 s; start the program"):
