@@ -7,6 +7,7 @@ readings that follow.
 
 import math
 import socket
+import time
 from dataclasses import replace
 from typing import Final
 
@@ -25,12 +26,14 @@ from drivers.wires import kvp, kvp_program
 PORT: Final = 7000
 
 _PROGRAM_ANSWER = 1.0  # longest time until the program reads an order, beside the answer time [s]
-_MAX_POINTS = 10  # written between two looks at the clock
+_MAX_POINTS = 10  # of one stage
+_BEATS = 4  # smallest number of heartbeats in the time of the watchdog while via points are written
 _NOT_ACTIVE = 100  # fault code of a program that does not run
 _PROGRAM_STATES = {"#P_FREE": 1, "#P_RESET": 2, "#P_STOP": 3, "#P_END": 4}
 _NOT_REPORTED = (
-    "its accelerations, nor which other clients of its network write its variables; in T1 it drives slower than "
-    "commanded"
+    "its accelerations, nor which other clients of its network write its variables, nor whether a move, stopped while "
+    "its program did not run, goes on at the start key: cancel or reset the program before you start it; in T1 it "
+    "drives slower than commanded"
 )
 
 
@@ -59,7 +62,6 @@ class KvpLine:
         try:
             self._socket = socket.create_connection(self._address, self._seconds + 1.0)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.settimeout(self._seconds)
         except OSError as error:
             raise LinkLostError(
                 f"{self.name} cannot be opened: {describe_failure(error)}; check address and network, and that "
@@ -84,20 +86,27 @@ class KvpLine:
         if self._socket is None:
             raise LinkLostError(f"{self.name} is not open")
         self._number = self._number % 65535 + 1
+        deadline = time.monotonic() + self._seconds
         try:
+            self._socket.settimeout(self._seconds)
             self._socket.sendall(kvp.request(self._number, name, value))
             while True:
                 messages, self._rest = kvp.split(self._rest)
                 for number, body in messages:
                     if number == self._number:  # an earlier one answers a request that was given up
                         return self._value(name, value, body)
+                if (left := deadline - time.monotonic()) <= 0.0:
+                    raise TimeoutError
+                self._socket.settimeout(left)
                 data = self._socket.recv(1 << 16)
                 if not data:
                     raise LinkLostError(f"{self.name} closed the connection")
                 self._rest += data
         except TimeoutError as error:
+            self.close()  # a part of the request or of the answer may have passed
             raise AnswerTimeoutError(f"{self.name} gave no answer about {name}") from error
         except OSError as error:
+            self.close()
             raise LinkLostError(f"{self.name} is gone: {describe_failure(error)}") from error
 
     def _value(self, name: str, value: str | None, body: bytes) -> str:
@@ -130,6 +139,7 @@ class KvpLink(ReopeningLink):
         self._proxy, self._limits, self._timer = line, limits, timer
         self._axes = [axis_name(axis) for axis in range(len(limits.lower))]
         self._n_via = 1
+        self._beaten = -math.inf  # time of the last heartbeat [s]
 
     def _ask(self, name: str, value: str | None = None) -> str:
         """Read a variable, or write a value; a lost connection is opened again at the next use."""
@@ -138,9 +148,17 @@ class KvpLink(ReopeningLink):
                 return self._proxy.read(name)
             self._proxy.write(name, value)
             return value
-        except LinkLostError:
+        except (LinkLostError, AnswerTimeoutError):
             self._drop()
             raise
+
+    def _beat(self) -> dict[str, int]:
+        """Write the heartbeat if this client owns the arm, and return the state of the program."""
+        state = self._state_of_program()
+        if self.session and state["OWNER"] == self.session:
+            self._ask(f"$TIMER[{self._timer}]", str(-self._timeouts.watchdog_ms))
+            self._beaten = self._clock.now()
+        return state
 
     def _max_points(self, axes: int) -> int:
         return _MAX_POINTS
@@ -194,9 +212,10 @@ class KvpLink(ReopeningLink):
         self._ask("SC_HALT", str(sequence))
         if self._ask("$PRO_STATE1") == "#P_ACTIVE":
             self._await_zero("SC_HALT", "the stop")
-        return Answer(sequence, Result.OK)  # a program that does not run moves nothing, and stops when it is started
+        return Answer(sequence, Result.OK)  # a program that does not run moves nothing until a person starts it
 
     def _order(self, sequence: int, kind: int, count: int, percent: int) -> Answer:
+        self._beat()
         order = {"SESSION": self.session, "NUMBER": sequence, "KIND": kind, "COUNT": count, "SPEED": percent}
         self._ask("SC_ORDER", _aggregate("SC_ORDER_T", order))
         deadline = self._clock.now() + self._timeouts.answer + _PROGRAM_ANSWER
@@ -210,6 +229,8 @@ class KvpLink(ReopeningLink):
 
     def _write_points(self, sequence: int, offset: int, points: SetPoints) -> None:
         for number, point in enumerate(points.tolist(), start=offset + 1):
+            if self._clock.now() - self._beaten > self._timeouts.watchdog / _BEATS:
+                self._beat()
             axes = ",".join(f"{name} {count / PER_DEGREE:.4f}" for name, count in zip(self._axes, point, strict=True))
             self._ask(
                 f"SC_POINT[{number}]",
@@ -238,9 +259,7 @@ class KvpLink(ReopeningLink):
         return values
 
     def _read_state(self) -> RobotState:
-        own = self._state_of_program()
-        if self.session and own["OWNER"] == self.session:
-            self._ask(f"$TIMER[{self._timer}]", str(-self._timeouts.watchdog_ms))
+        own = self._beat()
         program, alarm, stopped = (self._ask(name) for name in ("$PRO_STATE1", "$ALARM_STOP", "$ROB_STOPPED"))
         axes = kvp.components(self._ask("$AXIS_ACT"))
         try:

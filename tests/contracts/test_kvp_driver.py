@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from drivers.emulated import krl
 from drivers.emulated.kvp import KukaController, KvpStation
 from drivers.emulated.serve import Server, TcpLine
 from drivers.errors import (
+    AnswerTimeoutError,
     DriverError,
     DriverUrlError,
     EmergencyStopError,
@@ -27,7 +29,7 @@ from drivers.errors import (
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import PER_DEGREE, from_rad
 from drivers.wires import kvp
-from drivers.wires.kvp_link import KvpDriver
+from drivers.wires.kvp_link import KvpDriver, KvpLine
 from tests.support.driver_bench import HOME_Q, KR16, Journal
 
 HOME = from_rad(HOME_Q)
@@ -66,12 +68,21 @@ class Bench:
         return thread
 
 
+class SlowStation(KvpStation):
+    """A proxy that needs some time for each answer."""
+
+    def answer(self, packet: bytes) -> bytes:
+        """Return the answer to a request."""
+        threading.Event().wait(0.005)
+        return super().answer(packet)
+
+
 @pytest.fixture
-def bench() -> Iterator[Bench]:
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     """Serve a controller in a thread."""
     clock, journal = RealTimeClock(), Journal()
     controller, line = KukaController(HOME_Q.copy(), KR16, clock, journal), TcpLine()
-    server, ended = Server(KvpStation(controller), line, clock), threading.Event()
+    server, ended = Server(getattr(request, "param", KvpStation)(controller), line, clock), threading.Event()
     thread = threading.Thread(target=server.serve, args=(ended.is_set,), daemon=True)
     thread.start()
     yield Bench(controller, line, journal)
@@ -85,6 +96,7 @@ def test_moves_are_executed_point_by_point(bench: Bench) -> None:
     with driver_of(bench.url) as driver:
         assert driver.capabilities.lower.tolist() == KR16.lower.tolist()
         assert "other clients" in driver.capabilities.not_reported
+        assert "cancel or reset the program" in driver.capabilities.not_reported
         state = driver.move(NEAR, 0.5)
         assert (state.mode, state.axes.tolist()) == (Mode.IN_POSITION, NEAR[-1].tolist())
         many = np.linspace(NEAR[-1], HOME, 25).astype(np.int32)
@@ -152,7 +164,7 @@ def test_a_stopped_program_is_held_and_goes_on(bench: Bench) -> None:
         def pause() -> None:
             bench.controller.stop_program()
             with driver_of(bench.url) as watcher:
-                threading.Event().wait(0.3)
+                threading.Event().wait(0.8)
                 seen.append(watcher.state())
             bench.controller.stop_program(False)
 
@@ -188,6 +200,47 @@ def test_a_silent_client_is_stopped_by_the_timer(bench: Bench) -> None:
         other.take()
         other.reset()
         assert other.move(HOME[None], 1.0).at_rest
+
+
+@pytest.mark.parametrize("bench", [SlowStation], indirect=True)
+def test_the_heartbeat_goes_on_while_points_are_written(bench: Bench) -> None:
+    """Writing the via points takes longer than the watchdog."""
+    url = bench.url.replace("timeout_ms=1000&watchdog_ms=3000", "timeout_ms=130&watchdog_ms=400")
+    many = (HOME + np.arange(1, 121)[:, None] * np.array([20, 0, 0, 0, 0, 0])).astype(np.int32)
+    with driver_of(url) as driver:
+        assert driver.move(many, 1.0).axes.tolist() == many[-1].tolist()
+        assert bench.journal.of("fault") == []
+
+
+def test_an_answer_has_one_deadline_and_a_late_one_closes_the_connection() -> None:
+    """A proxy that sends single bytes is given up; a new connection begins at a whole message."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        line = KvpLine("127.0.0.1", server.getsockname()[1], 0.3)
+        line.open()
+        proxy, _ = server.accept()
+
+        def drip() -> None:
+            for value in kvp.answer(1, kvp.READ, "100", success=True) * 2:
+                threading.Event().wait(0.1)
+                with contextlib.suppress(OSError):
+                    proxy.send(bytes([value]))
+
+        thread = threading.Thread(target=drip, daemon=True)
+        thread.start()
+        began = time.monotonic()
+        with pytest.raises(AnswerTimeoutError, match=r"gave no answer about \$OV_PRO"):
+            line.read("$OV_PRO")
+        assert time.monotonic() - began < 0.6
+        with pytest.raises(LinkLostError, match="is not open"):
+            line.read("$OV_PRO")
+        thread.join(10.0)
+        proxy.close()
+        line.open()
+        proxy, _ = server.accept()
+        proxy.sendall(kvp.answer(2, kvp.READ, "100", success=True))
+        assert line.read("$OV_PRO") == "100"
+        proxy.close()
+        line.close()
 
 
 def test_the_session_is_exclusive(bench: Bench) -> None:
