@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -35,6 +35,7 @@ from cell.scene.fields import Table
 from cell.scene.model import Scene
 from cell.session import ProgressReporter
 from cell.view import loopback
+from planner.errors import PlannerError
 
 _POLL_S = 0.05  # between two readings of the events of an execution
 _EPHEMERAL = ("drag", "jog")  # messages of which only the latest counts
@@ -52,6 +53,20 @@ class Jog(Table):
     """Joint angles."""
 
     axes_deg: tuple[float, ...]
+
+
+class Changes(Table):
+    """Changes of the views of a plan, in the form of the options of `cell edit`."""
+
+    drop: str = ""
+    move: str = ""
+    turn: str = ""
+
+
+class Pin(Table):
+    """A candidate that is pinned, or no longer."""
+
+    candidate: int = Field(ge=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +198,7 @@ class LiveServer:
                 name, content = self._commands.popleft() if self._commands else self._latest.popitem()
                 try:
                     await asyncio.to_thread(self._handlers[name], content)
-                except CellError as error:
+                except (CellError, PlannerError) as error:
                     self._send({"error": str(error)})
                     if name == "drag":
                         continue
@@ -285,7 +300,7 @@ class LiveServer:
         if state.run is None:
             self._send({"error": "there is no plan to change; plan first"})
             return
-        changes = {key: str(content[key]) for key in ("drop", "move", "turn") if key in content}
+        changes = {key: text for key, text in _parsed(Changes, content).model_dump().items() if text}
         options, flags = {**changes, "repair": True}, [f"--{key}={text}" for key, text in changes.items()]
         words = ["edit", str(state.run), *flags, "--repair", "--out", str(out)]
         task = {"command": "edit", "source": str(state.run), "out": str(out), "options": options, "argv": words}
@@ -293,7 +308,7 @@ class LiveServer:
         self._start(task, self._edited)
 
     def _pin(self, content: Any) -> None:
-        pinned, candidate = list(self.scene.plan.pinned), int(content)
+        pinned, candidate = list(self.scene.plan.pinned), _parsed(Pin, {"candidate": content}).candidate
         pinned = [each for each in pinned if each != candidate] if candidate in pinned else [*pinned, candidate]
         run = self.history.state.run
         self._push(states.pinned(self.scene, pinned))
@@ -351,14 +366,17 @@ class LiveServer:
 
     async def _send_events(self, run: Path, job: Job | None) -> None:
         """Send the events of the new execution of a run until its job ends."""
-        before, sent = set(run.glob("executions/*/events.jsonl")), 0
-        while job is not None and job.is_running:
+        before, sent, is_running = set(run.glob("executions/*/events.jsonl")), 0, True
+        while is_running:
+            is_running = job is not None and job.is_running  # events that precede the end are read after it
             for path in set(run.glob("executions/*/events.jsonl")) - before:
-                lines = path.read_text(encoding="utf-8").split("\n")[:-1]  # the last line may be incomplete
-                for line in lines[sent:]:
+                with path.open("rb") as file:
+                    file.seek(sent)
+                    complete, _, _ = file.read().rpartition(b"\n")  # the last line may be incomplete
+                for line in complete.splitlines():
                     with suppress(ValueError):
                         self._send({"follow": json.loads(line)})
-                sent = len(lines)
+                sent += len(complete) + 1 if complete else 0
             await asyncio.sleep(_POLL_S)
 
 

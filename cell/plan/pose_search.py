@@ -49,7 +49,7 @@ MARGIN = 0.0014
 N_SAMPLES = 20_000
 """Samples that are drawn for the evaluation of poses."""
 
-N_EVALUATED = 8_000
+N_EVALUATED = 12_000
 """Samples of these on which poses are evaluated; samples that many candidates measure are thinned out."""
 
 EVALUATED_PER_VIEW = 300

@@ -212,7 +212,10 @@ def test_wrong_messages_are_refused(served: tuple[LiveServer, Address]) -> None:
     server, address = served
     before = server.scene
     with _connected(address) as socket:
-        for name, content in (("shell", 1), ("drag", {"name": "part"}), ("set", _at(1e9)), ("set", _at(1.0, "x"))):
+        for name, content in (
+            ("shell", 1), ("drag", {"name": "part"}), ("set", _at(1e9)), ("set", _at(1.0, "x")), ("pin", "x"),
+            ("pin", -1), ("edit", 1), ("edit", {"drop": 1}),
+        ):  # fmt: skip
             assert _ask(socket, name, content, lambda message: "error" in message)["error"]
         assert _ask(socket, "jog", {"axes_deg": [0.0] * 6}, lambda message: "contacts" in message)
     assert server.scene == before
