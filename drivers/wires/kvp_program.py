@@ -15,7 +15,7 @@ result, the current move, its passed via points, and the latched fault.
 The program sets `SC_ORDER.NUMBER`, `SC_TAKE` and `SC_HALT` to 0 when it has read them. It executes an order once, if
 it is of the owner and newer than the last one, and a move only if all of its via points are written. Three interrupts
 brake a moving arm: a stop, the flag of the timer, which rises when the heartbeat ends, and the emergency stop. `RESUME`
-then leaves the motion, so that it never continues. The components of `SC_STATE` are written in an order in which a
+then leaves the motion, if the program runs. The components of `SC_STATE` are written in an order in which a
 reading between two of them is consistent.
 """
 
@@ -152,7 +152,7 @@ RESUME
 END
 
 DEF SC_ALARM( )
-; interrupt: an emergency stop ends the motion, which does not continue after it
+; interrupt: an emergency stop ends the motion
 SC_STATE.FAULT=<F_EMERGENCY_STOP>
 SC_BRAKE( )
 END
