@@ -51,6 +51,7 @@ class KvpLine:
         self._address, self._seconds = (host, port), seconds
         self._socket: socket.socket | None = None
         self._rest, self._number = b"", 0
+        self._is_mute = False  # whether the last request was not answered
 
     def open(self) -> None:
         """Connect.
@@ -68,9 +69,15 @@ class KvpLine:
                 "KUKAVARPROXY or C3 Bridge runs on the controller"
             ) from error
 
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection; it is closed after two unanswered requests, or one that was sent in part."""
+        return self._socket is not None
+
     def close(self) -> None:
         """Release the connection; allowed twice."""
         connection, self._socket, self._rest = self._socket, None, b""
+        self._is_mute = False
         if connection is not None:
             connection.close()
 
@@ -87,23 +94,30 @@ class KvpLine:
             raise LinkLostError(f"{self.name} is not open")
         self._number = self._number % 65535 + 1
         deadline = time.monotonic() + self._seconds
+        is_sent = False
         try:
             self._socket.settimeout(self._seconds)
             self._socket.sendall(kvp.request(self._number, name, value))
+            is_sent = True
             while True:
                 messages, self._rest = kvp.split(self._rest)
                 for number, body in messages:
                     if number == self._number:  # an earlier one answers a request that was given up
+                        self._is_mute = False
                         return self._value(name, value, body)
                 if (left := deadline - time.monotonic()) <= 0.0:
                     raise TimeoutError
                 self._socket.settimeout(left)
                 data = self._socket.recv(1 << 16)
                 if not data:
+                    self.close()
                     raise LinkLostError(f"{self.name} closed the connection")
                 self._rest += data
         except TimeoutError as error:
-            self.close()  # a part of the request or of the answer may have passed
+            if self._is_mute or not is_sent:  # the rest of a request would be read as the beginning of the next one
+                self.close()
+            else:
+                self._is_mute = True
             raise AnswerTimeoutError(f"{self.name} gave no answer about {name}") from error
         except OSError as error:
             self.close()
@@ -149,7 +163,8 @@ class KvpLink(ReopeningLink):
             self._proxy.write(name, value)
             return value
         except (LinkLostError, AnswerTimeoutError):
-            self._drop()
+            if not self._proxy.is_open:
+                self._drop()
             raise
 
     def _beat(self) -> dict[str, int]:
@@ -215,7 +230,7 @@ class KvpLink(ReopeningLink):
         return Answer(sequence, Result.OK)  # a program that does not run moves nothing until a person starts it
 
     def _order(self, sequence: int, kind: int, count: int, percent: int) -> Answer:
-        self._beat()
+        self._retry(self._beat)
         order = {"SESSION": self.session, "NUMBER": sequence, "KIND": kind, "COUNT": count, "SPEED": percent}
         self._ask("SC_ORDER", _aggregate("SC_ORDER_T", order))
         deadline = self._clock.now() + self._timeouts.answer + _PROGRAM_ANSWER

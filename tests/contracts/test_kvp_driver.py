@@ -212,7 +212,7 @@ def test_the_heartbeat_goes_on_while_points_are_written(bench: Bench) -> None:
         assert bench.journal.of("fault") == []
 
 
-def test_an_answer_has_one_deadline_and_a_late_one_closes_the_connection() -> None:
+def test_an_answer_has_one_deadline_and_the_second_late_one_closes_the_connection() -> None:
     """A proxy that sends single bytes is given up; a new connection begins at a whole message."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         line = KvpLine("127.0.0.1", server.getsockname()[1], 0.3)
@@ -227,18 +227,29 @@ def test_an_answer_has_one_deadline_and_a_late_one_closes_the_connection() -> No
 
         thread = threading.Thread(target=drip, daemon=True)
         thread.start()
-        began = time.monotonic()
-        with pytest.raises(AnswerTimeoutError, match=r"gave no answer about \$OV_PRO"):
-            line.read("$OV_PRO")
-        assert time.monotonic() - began < 0.6
+        for is_open in (True, False):
+            began = time.monotonic()
+            with pytest.raises(AnswerTimeoutError, match=r"gave no answer about \$OV_PRO"):
+                line.read("$OV_PRO")
+            assert time.monotonic() - began < 0.6
+            assert line.is_open == is_open
         with pytest.raises(LinkLostError, match="is not open"):
             line.read("$OV_PRO")
         thread.join(10.0)
         proxy.close()
         line.open()
         proxy, _ = server.accept()
-        proxy.sendall(kvp.answer(2, kvp.READ, "100", success=True))
+        proxy.sendall(kvp.answer(3, kvp.READ, "100", success=True))
         assert line.read("$OV_PRO") == "100"
+
+        def fill() -> None:
+            for number in range(4, 500):  # a proxy that reads nothing: at some time only a part of a request is sent
+                proxy.sendall(kvp.answer(number, kvp.WRITE, "", success=True))
+                line.write("A", "1" * 60_000)
+
+        with pytest.raises(AnswerTimeoutError):
+            fill()
+        assert not line.is_open
         proxy.close()
         line.close()
 
