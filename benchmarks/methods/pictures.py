@@ -98,7 +98,6 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ("explore_rivals.png",): _benchmark("explore"),
     ("fill_speed_accuracy.png",): _benchmark("fill"),
     ("mug_resolution.png",): _benchmark("mug"),
-    ("pose_search.png",): _benchmark("pose_search"),
     ("ordering_budget.png",): _benchmark("gtsp"),
     ("plant_stability.png",): _benchmark("plant"),
     ("reconstruction.png",): _benchmark("reconstruction"),
