@@ -91,15 +91,15 @@ def test_the_textbook_search_finds_the_cheapest_of_small_instances(seed: int) ->
     assert found[-1][1] == fewest(dense, costs, np.all)
 
 
-@pytest.mark.parametrize("request", [{}, {"coverage": 0.8}, {"max_views": 3}])
+@pytest.mark.parametrize("options", [{}, {"coverage": 0.8}, {"max_views": 3}])
 @pytest.mark.parametrize("solver", [ours, rivals.highs])
-def test_solvers_agree_with_brute_force(solver: Any, request: dict[str, Any]) -> None:
+def test_solvers_agree_with_brute_force(solver: Any, options: dict[str, Any]) -> None:
     """Covers, a share of the area, and the most area with k views equal the results of enumeration.
 
     Bounds equal the results, in the units of the evaluation.
     """
     pytest.importorskip("highspy")
-    task = Task(SMALL, "any", 1.0, **request)
+    task = Task(SMALL, "any", 1.0, **options)
     instance = load(task.instance, False)
     dense = instance.M.toarray()
     answer = solver(instance, task)
