@@ -33,7 +33,7 @@ from planner.viewpoints.lines_of_sight import RayTargets
 from planner.why.why import REASON_OF_VERDICT, Reason, diagnose
 
 _ATTAINABLE_ERROR = 1e-3  # largest standard error of the attainable coverage, as a share of the surface
-_LEAST_SEARCHED = 200  # samples for which a pose is searched, if so many are open
+_LEAST_SEARCHED = 200  # least number of samples for which a pose is searched, as far as there are open ones
 _N_DIAGNOSED = 300  # unmeasured samples of a region for which the reason is determined
 _LISTED_OPTIONS = (
     "max_views", "multiplicity", "pinned", "banned", "cost", "overlap_mm2", "overlap_share", "overlap_in_order",
