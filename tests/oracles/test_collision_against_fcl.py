@@ -145,12 +145,12 @@ def test_distances_lie_between_those_of_inner_and_outer_prisms(world: World, fcl
 
 
 def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCell) -> None:
-    """Verdicts at the clearance agree with fcl, with half of the configurations within 15 mm of it."""
+    """Verdicts at the clearance agree with fcl, with two thirds of the configurations within 15 mm of it."""
     checker = MujocoCollisionChecker(world)
     q = np.random.default_rng(1).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     distance, _ = checker.distance(q)
     beside = np.flatnonzero(np.abs(distance - checker.clearance) < 0.015)
-    chosen = np.concatenate([np.arange(120), beside[:120]])
+    chosen = np.concatenate([np.arange(120), beside[:240]])
     free = checker.free(q[chosen])
     decided = 0
     for verdict, configuration in zip(free, q[chosen], strict=True):
@@ -159,4 +159,4 @@ def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCel
             decided += 1
             assert verdict == (low >= checker.clearance)
     assert decided > 0.95 * len(chosen)
-    assert 0.2 < free.mean() < 0.9
+    assert 0.2 < free.mean() < 0.8
