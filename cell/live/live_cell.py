@@ -185,7 +185,7 @@ class LiveCell:
         return covered
 
     def _without_hidden(self, M: Measurability, which: Ints, world: World, *, moving: bool | None) -> Measurability:
-        """Return columns of a matrix without what occluders hide.
+        """Return columns of a matrix without the entries that occluders hide.
 
         Args:
             M: of all candidates.

@@ -391,7 +391,7 @@ def _with_certain_features(
     session: PlanSession, problem: SelectionProblem, chosen: Selection, surface: PartSurface,
     rng: np.random.Generator, fresh: np.random.Generator,
 ) -> tuple[SelectionProblem, Selection]:  # fmt: skip
-    """Add views for the uncertainty of the characteristics, and note those that are not kept."""
+    """Add views for the uncertainty of the characteristics, and note those that miss their requirement."""
     path = session.folder.path / FEATURES
     plan = parsed(InspectionPlan, path.read_bytes(), path)
     if plan.u_over_t is None or not callable(getattr(problem.prediction.scanner, "sigma", None)):
