@@ -112,7 +112,7 @@ def test_a_repair_moves_added_views_but_not_towards_dropped_ones(
     """Repair restores the coverage. Views that stay keep their poses; added ones are no nearer than the range."""
     before = open_finished(fewest)
     dropped = before.candidates.T_object_scanner[before.candidate[:3], 0]
-    options = ("--drop", "1,2,3", "--dropped-range", "20mm,10deg", "--repair", "--out", "repaired")
+    options = ("--drop", "1,2,3", "--dropped-range", "120mm,40deg", "--repair", "--out", "repaired")
     run_cell("edit", str(fewest), *options, cwd=tmp_path, code=0)
     after = open_finished(tmp_path / "repaired")
     assert set(before.candidate[3:]) < set(after.candidate)
@@ -121,7 +121,7 @@ def test_a_repair_moves_added_views_but_not_towards_dropped_ones(
     assert len(added)
     apart = np.linalg.norm(added[:, None, :3, 3] - dropped[:, :3, 3], axis=2)
     angle = np.degrees(np.arccos(np.clip(added[:, :3, 2] @ dropped[:, :3, 2].T, -1, 1)))
-    assert ((apart > 0.02) | (angle > 10)).all()
+    assert ((apart > 0.12) | (angle > 40)).all()
 
 
 def test_pose_search_is_skipped_with_its_reason(
