@@ -52,6 +52,13 @@ def last_signal() -> str:
     return _last[0]
 
 
+def is_interruption(error: BaseException) -> bool:
+    """Return whether a signal caused an error; compiled kernels turn `KeyboardInterrupt` into `SystemError`."""
+    return isinstance(error, KeyboardInterrupt) or (
+        isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt)
+    )
+
+
 def handle_termination() -> None:
     """Let SIGTERM and SIGHUP end a command as Ctrl-C does, so that its folder keeps its status."""
     for number in _handled():

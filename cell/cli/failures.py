@@ -17,7 +17,7 @@ import typer
 
 from cell import signals
 from cell.errors import CellError, FileError, UsageError
-from cell.signals import INTERRUPTED
+from cell.signals import INTERRUPTED, is_interruption
 
 _BUG = 70
 
@@ -78,6 +78,8 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
             as_json,
         )
     except (Exception, SystemExit) as error:
+        if is_interruption(error):
+            return _report(_interruption(), INTERRUPTED, as_json)
         # The libraries of the terminal end the process when the reader of stdout has closed it.
         if isinstance(error.__context__, OSError) and error.__context__.errno == errno.EPIPE:
             return _close_stdout()

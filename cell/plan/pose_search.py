@@ -19,6 +19,7 @@ from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.interrupts import deferred_interrupt
 from planner.measurability.direction_table import DirectionTable
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import VisibilityMemo, find_measured
@@ -145,11 +146,12 @@ def search_views(
     if not (effort and len(initial) > 1):
         return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views))
     try:
-        samples, weights = draw_evaluated([(problem.M, problem.usable())], surface, len(initial), rng)
-        table = make_table(samples, known)
-        coverable = table.measured(pool.T_object_scanner).any(axis=0)
-        needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0))
-        shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
+        with deferred_interrupt():
+            samples, weights = draw_evaluated([(problem.M, problem.usable())], surface, len(initial), rng)
+            table = make_table(samples, known)
+            coverable = table.measured(pool.T_object_scanner).any(axis=0)
+            needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0))
+            shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise

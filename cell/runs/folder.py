@@ -126,15 +126,15 @@ class RunFolder:
         """Keep the unfinished folder, with status, stage and reason, if the block raises."""
         try:
             yield
-        except KeyboardInterrupt:
-            self.fail("interrupted", signals.INTERRUPTED, f"stopped by {signals.last_signal()}")
-            signals.keep_folder(self.path)
-            raise
         except (CellError, PlannerError) as error:
             self.fail("failed", getattr(error, "exit_code", CellError.exit_code), str(error))
             raise
         except BaseException as error:
-            self.fail("failed", CellError.exit_code, f"{type(error).__name__}: {error}")
+            if signals.is_interruption(error):
+                self.fail("interrupted", signals.INTERRUPTED, f"stopped by {signals.last_signal()}")
+                signals.keep_folder(self.path)
+            else:
+                self.fail("failed", CellError.exit_code, f"{type(error).__name__}: {error}")
             raise
 
     def write_text(self, name: str, text: str) -> None:

@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from planner.errors import PlannerError
+from planner.interrupts import deferred_interrupt, raise_interrupt
 from planner.values import Ints
 
 EFFORT_PER_SECOND = 500_000_000
@@ -33,6 +34,8 @@ LARGE_PACE = 1.25
 
 UNLIMITED_EFFORT = 10**15
 """A budget that only the clock ends."""
+
+_POLL_S = 0.1  # time between two questions for Ctrl-C while a compiled solver runs
 
 Result = TypeVar("Result")
 
@@ -96,6 +99,7 @@ class Budget:
 
     def spend(self, effort: int) -> bool:
         """Charge effort; return whether to go on (effort and time remain, the incumbent is not proven)."""
+        raise_interrupt()
         self.spent += int(effort * self.pace)
         if self._deadline is not None and self._clock() >= self._deadline:
             self.time_limited = True
@@ -138,7 +142,8 @@ class Budget:
         A subclass of `KeyboardInterrupt` is a kill, not a request for a result; it is raised again.
         """
         try:
-            yield
+            with deferred_interrupt():
+                yield
         except KeyboardInterrupt as stop:
             if type(stop) is not KeyboardInterrupt:
                 raise
@@ -163,7 +168,9 @@ def interruptible(call: Callable[[], Result]) -> Result:
 
     thread = threading.Thread(target=run, name="solver", daemon=True)
     thread.start()
-    thread.join()
+    while thread.is_alive():
+        thread.join(_POLL_S)
+        raise_interrupt()
     if errors:
         raise errors[0]
     return results[0]

@@ -22,6 +22,7 @@ from scipy.sparse import csr_array
 
 from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
+from planner.interrupts import deferred_interrupt, raise_interrupt
 from planner.values import Bools, Floats, Ints, Ints32, Value
 
 EFFORTS = {"low": 12_000, "normal": 48_000, "high": 800_000}
@@ -174,16 +175,17 @@ def search_poses(
     count, before_last_part = max(1, len(initial) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
     search = None
     try:
-        search = _Search(pool, places, weights, effort, rng, progress)
-        while search.evaluated < before_last_part and len(found[-1]) > 1:
-            count = min(count, len(found[-1]) - 1)
-            fewer = search.repaired(found[-1], count, shortfall, before_last_part)
-            if fewer is not None:
-                found.append(fewer)
-            elif count > 1:
-                count //= 2
-        if len(found) > 1 and (moved := search.with_larger_area(found[-1], shortfall)) is not None:
-            found.append(moved)
+        with deferred_interrupt():
+            search = _Search(pool, places, weights, effort, rng, progress)
+            while search.evaluated < before_last_part and len(found[-1]) > 1:
+                count = min(count, len(found[-1]) - 1)
+                fewer = search.repaired(found[-1], count, shortfall, before_last_part)
+                if fewer is not None:
+                    found.append(fewer)
+                elif count > 1:
+                    count //= 2
+            if len(found) > 1 and (moved := search.with_larger_area(found[-1], shortfall)) is not None:
+                found.append(moved)
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
@@ -268,6 +270,7 @@ class _Search:
         return sums
 
     def _report(self, n_views: int) -> None:
+        raise_interrupt()
         if self.progress:
             self.progress(min(self.evaluated, self.effort), self.effort, n_views)
 

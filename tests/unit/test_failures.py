@@ -16,6 +16,16 @@ class _Closed(io.StringIO):
         raise OSError(errno.EIO, "Input/output error")
 
 
+def test_ctrl_c_in_a_compiled_kernel_is_no_bug(capsys: pytest.CaptureFixture[str]) -> None:
+    """Numba raises SystemError from the KeyboardInterrupt while it converts arguments or results."""
+
+    def run() -> None:
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    assert report_errors(run, as_json=False) == INTERRUPTED
+    assert "stopped by Ctrl-C" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("as_json", [False, True])
 @pytest.mark.parametrize(("raised", "code"), [(KeyboardInterrupt(), INTERRUPTED), (UsageError("no"), 2)])
 def test_a_closed_terminal_holds_nothing_up(

@@ -1,0 +1,103 @@
+"""Ctrl-C at chosen points: deferred to the next question, raised once, and the second one at once."""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from planner.cover.budget import Budget, interruptible
+from planner.interrupts import deferred_interrupt, raise_interrupt
+
+
+def press_ctrl_c() -> None:
+    """Send SIGINT to this process; the main thread handles it before its next instruction."""
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0)
+
+
+def run_deferred(*steps: Callable[[], object]) -> None:
+    """Run steps one after the other in a block that defers Ctrl-C."""
+    with deferred_interrupt():
+        for step in steps:
+            step()
+
+
+def test_ctrl_c_waits_for_the_next_question() -> None:
+    """The block goes on after Ctrl-C until it asks; nothing remains after the block."""
+    done: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        run_deferred(
+            press_ctrl_c, lambda: done.append("before"), raise_interrupt, lambda: done.append("after the question")
+        )
+    assert done == ["before"]
+    raise_interrupt()
+    with pytest.raises(KeyboardInterrupt):
+        press_ctrl_c()
+
+
+def test_ctrl_c_is_raised_at_the_end_of_the_block() -> None:
+    """A block that does not ask loses no Ctrl-C; an inner block raises it first, the outer block again."""
+    raised_by_inner: list[bool] = []
+
+    def inner() -> None:
+        with pytest.raises(KeyboardInterrupt):
+            run_deferred(press_ctrl_c)
+        raised_by_inner.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_deferred(inner)
+    assert raised_by_inner
+
+
+def test_the_second_ctrl_c_acts_at_once() -> None:
+    """A block that never asks can be left by a second Ctrl-C."""
+    done: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        run_deferred(press_ctrl_c, press_ctrl_c, lambda: done.append("after the second"))
+    assert not done
+
+
+def test_an_error_of_the_block_is_not_replaced() -> None:
+    """The error of a block after Ctrl-C is raised as such."""
+    with pytest.raises(ZeroDivisionError):
+        run_deferred(press_ctrl_c, lambda: 1 // 0)
+    raise_interrupt()
+
+
+def test_other_threads_are_not_interrupted() -> None:
+    """A deferred Ctrl-C belongs to the main thread."""
+    finished: list[bool] = []
+
+    def ask() -> None:
+        run_deferred(raise_interrupt)
+        finished.append(True)
+
+    thread = threading.Thread(target=ask)
+    with pytest.raises(KeyboardInterrupt):
+        run_deferred(press_ctrl_c, thread.start, thread.join)
+    assert finished
+
+
+@pytest.mark.parametrize("question", ["charge", "solver"])
+def test_a_budget_ends_its_block_and_keeps_the_incumbent(question: str) -> None:
+    """Ctrl-C ends the search of a budget at its next charge, and while a compiled solver runs in another thread."""
+    budget = Budget(100)
+    budget.offer(np.array([3]), 7)
+    begin, done = time.monotonic(), list[str]()
+    with budget.stopped_by_interrupt():
+        press_ctrl_c()
+        if question == "charge":
+            budget.spend(1)
+        else:
+            interruptible(lambda: time.sleep(60))
+        done.append("after the question")
+    assert not done
+    assert budget.interrupted
+    assert budget.incumbent is not None
+    assert budget.incumbent.tolist() == [3]
+    assert budget.remaining == 0
+    assert time.monotonic() - begin < 30
