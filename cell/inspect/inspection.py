@@ -11,6 +11,7 @@ from cell.errors import SceneError
 from cell.files import read_bytes
 from cell.inspect import pictures, qif
 from cell.inspect.alignment import fit_reference_points
+from cell.inspect.artefacts import FEATURES, PAGE, QIF_RESULTS, RESULTS, TABLE
 from cell.inspect.evaluation import Evaluation
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
@@ -28,10 +29,6 @@ from planner.registration.registration import register
 from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
-FEATURES, RESULTS, PREDICTED, TABLE, QIF_SOURCE, QIF_RESULTS, PAGE = (
-    "features.json", "features.json", "uncertainty.json", "characteristics.csv", "characteristics.qif", "results.qif",
-    "features.html",
-)  # fmt: skip
 _RPS_POINTS = 12  # measured points near a reference point, whose mean is used
 _FIT_POINTS = 20_000  # of the best fit
 
@@ -43,9 +40,9 @@ def plan_inspection(scene: Scene, part: Workpiece) -> InspectionPlan | None:
         SceneError: if a feature does not fit the part.
         FileError: if the QIF file cannot be used.
     """
-    settings, tables = scene.inspection, list(scene.feature)
-    if not tables and settings.qif is None:
+    if not scene.has_features:
         return None
+    settings, tables = scene.inspection, list(scene.feature)
     features, characteristics = resolve_features(part, tables)
     source, unsupported, notes = "scene", list[str](), list[str]()
     if settings.qif is not None:

@@ -7,8 +7,9 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.files import atomic_write
+from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.features import InspectionPlan
-from cell.inspect.inspection import QIF_SOURCE, Inspected, inspect_points, plan_inspection, qif_source, read_plan
+from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_source, read_plan
 from cell.inspect.measured import MeasuredPoints
 from cell.metrology import point_files
 from cell.metrology.options import InspectOptions

@@ -11,9 +11,7 @@ import numpy as np
 from cell import scanners
 from cell.errors import FileError, SceneError
 from cell.files import model_file
-from cell.inspect.features import InspectionPlan
-from cell.inspect.inspection import FEATURES, PREDICTED, QIF_SOURCE, plan_inspection, predict_plan, qif_source
-from cell.inspect.results import InspectionResult
+from cell.inspect.artefacts import FEATURES, QIF_SOURCE
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import CandidateSet, MeasuredSet, PlanSession
 from cell.plan.motion import ConnectedPlan
@@ -22,7 +20,6 @@ from cell.report.plan_report import markdown
 from cell.robot import model as robot
 from cell.robot.arm import wrist_positions
 from cell.robot.robot_file import mesh_files
-from cell.runs import ply
 from cell.runs.facts import (
     degrees,
     fixture_file,
@@ -48,7 +45,6 @@ from cell.runs.schema import (
     ResolvedRegion,
     ResolvedScene,
     ScannerKeys,
-    parsed,
 )
 from cell.scene.features import Inspection
 from cell.scene.fields import Table
@@ -304,38 +300,6 @@ def write_measured(folder: RunFolder, measured: MeasuredSet, before: MeasuredSet
         write_reach(folder, measured.reached)
     if before is None or measured.M is not before.M:
         write_measurability(folder, measured.M)
-
-
-def write_features(folder: RunFolder, scene: Scene, part: Workpiece) -> tuple[str, ...]:
-    """Write features and characteristics, if the scene has any; return doubts about them.
-
-    Raises:
-        CellError: if they do not fit the part.
-    """
-    plan = plan_inspection(scene, part)
-    if plan is None:
-        return ()
-    folder.write_json(FEATURES, plan.as_json())
-    if (source := qif_source(scene)) is not None:
-        folder.write_bytes(QIF_SOURCE, [source])
-    return (*plan.notes, *(f"not supported: {sentence}" for sentence in plan.unsupported))
-
-
-def write_uncertainty(
-    folder: RunFolder, scene: Scene, problem: SelectionProblem, plan: ConnectedPlan
-) -> InspectionResult | None:
-    """Predict and write the uncertainty of the characteristics of a run; None without them."""
-    path = folder.path / FEATURES
-    if not path.is_file():
-        return None
-    prediction, options = problem.prediction, scene.plan
-    found = predict_plan(
-        parsed(InspectionPlan, path.read_bytes(), path), ply.mesh((folder.path / "reference.ply").read_bytes()),
-        plan.driven.T_object_poses, prediction.scanner, prediction.casters,
-        (options.pose_sd_mm, options.pose_sd_deg), Path(scene.part.source).stem,
-    )  # fmt: skip
-    folder.write_json(PREDICTED, found.as_json())
-    return found
 
 
 def copy_meshes(folder: RunFolder, run: Run) -> None:

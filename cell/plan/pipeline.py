@@ -14,13 +14,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cell import scanners
 from cell.errors import FileError, UnreachableError, UsageError
-from cell.inspect.features import InspectionPlan
-from cell.inspect.inspection import FEATURES, with_feature_regions
-from cell.inspect.results import markdown
+from cell.inspect.artefacts import FEATURES
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan import evaluation, files, selection
@@ -52,11 +48,10 @@ from cell.plan.selection import (
     select_thoroughly,
     select_with_row_generation,
 )
-from cell.plan.uncertainty import add_views_for_uncertainty
 from cell.report import plots
 from cell.runs.folder import RunFolder
 from cell.runs.run import Run
-from cell.runs.schema import Report, parsed
+from cell.runs.schema import Report
 from cell.scene import settle, validation
 from cell.scene.file import BUILT_IN, scene_from_options
 from cell.scene.model import Scene, with_rest
@@ -166,7 +161,11 @@ def open_run(
     with plots.plot_process() if with_plots else nullcontext(PlotQueue()) as queue:
         with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
-            scene, unmet = with_feature_regions(scene, part)
+            unmet = ""
+            if scene.has_features:
+                from cell.plan import inspection  # takes half a second, which most plans do not need
+
+                scene, unmet = inspection.with_feature_regions(scene, part)
             part = with_regions(part, scene)
         for sentence in (
             *(finding.sentence for finding in part.findings),
@@ -224,7 +223,7 @@ def sample_part(session: PlanSession, settled: SettledScene) -> tuple[PartSurfac
         reference, faces = settled.part.reference, settled.settings.faces
         planning = decimate(reference, faces)
         files.write_meshes(session.folder, reference, planning)
-        for sentence in files.write_features(session.folder, settled.scene, settled.part):
+        for sentence in write_features(session.folder, settled):
             session.note(sentence)
         session.plots.part_ready(session.folder.path)
         viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
@@ -238,6 +237,15 @@ def sample_part(session: PlanSession, settled: SettledScene) -> tuple[PartSurfac
                 session.note(note)
         files.write_viewpoints(session.folder, scanners.sweep_columns(settled.scanner, viewpoints))
         return make_surface(reference, planning, rows), viewpoints
+
+
+def write_features(folder: RunFolder, settled: SettledScene) -> tuple[str, ...]:
+    """Write the features of a scene that has any; return doubts about them."""
+    if not settled.scene.has_features:
+        return ()
+    from cell.plan import inspection
+
+    return inspection.write_features(folder, settled.scene, settled.part)
 
 
 def copy_surface(session: PlanSession, settled: SettledScene, run: Run) -> PartSurface:
@@ -358,7 +366,9 @@ def select_and_connect(
     n_moved = len(choice[1].cover.views)
     if append is not None and (session.folder.path / FEATURES).is_file():
         with session.stage("uncertainty of the characteristics"):
-            choice = _with_certain_features(session, *choice, surface, rng, fresh)
+            from cell.plan import inspection
+
+            choice = inspection.add_certain_views(session, *choice, surface, rng, fresh)
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:
             choice = initial = select_least_time(*choice, rng)
@@ -385,24 +395,6 @@ def select_and_connect(
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)
         return problem, plan
-
-
-def _with_certain_features(
-    session: PlanSession, problem: SelectionProblem, chosen: Selection, surface: PartSurface,
-    rng: np.random.Generator, fresh: np.random.Generator,
-) -> tuple[SelectionProblem, Selection]:  # fmt: skip
-    """Add views for the uncertainty of the characteristics, and note those that miss their requirement."""
-    path = session.folder.path / FEATURES
-    plan = parsed(InspectionPlan, path.read_bytes(), path)
-    if plan.u_over_t is None or not callable(getattr(problem.prediction.scanner, "sigma", None)):
-        return problem, chosen
-    if not problem.request.allows_swaps:
-        session.note("no views are added for the uncertainty of characteristics: another request concerns the views")
-        return problem, chosen
-    problem, chosen, notes = add_views_for_uncertainty(problem, chosen, surface, plan, rng, fresh)
-    for sentence in notes:
-        session.note(sentence)
-    return problem, chosen
 
 
 @contextmanager
@@ -463,7 +455,9 @@ def finish(
     section: list[str] = []
     if (session.folder.path / FEATURES).is_file():
         with session.stage("predict the uncertainty"):
-            section = _predicted_section(session, settled, problem, plan)
+            from cell.plan import inspection
+
+            section = inspection.uncertainty_section(session, settled.scene, problem, plan)
     with session.stage("report"):
         report = evaluation.plan_report(settled, planning, problem, plan, measured, motion, optional)
         report = report.model_copy(update=dict(annotations))
@@ -471,21 +465,6 @@ def finish(
         files.write_report(session.folder, report, section)
         files.finish_page(session, report, file, motion, problem.world)
     return report
-
-
-def _predicted_section(
-    session: PlanSession, settled: SettledScene, problem: SelectionProblem, plan: ConnectedPlan
-) -> list[str]:
-    """Predict the uncertainty of the characteristics, note unmet demands, and return the section of the report."""
-    if not callable(getattr(problem.prediction.scanner, "sigma", None)):
-        session.note("the uncertainty of characteristics is not predicted: the scanner has no model of its noise")
-        return []
-    found = files.write_uncertainty(session.folder, settled.scene, problem, plan)
-    assert found is not None, "the run has features"
-    for each in found.characteristics:
-        if each.cause:
-            session.note(f"{each.name}: {each.cause}")
-    return markdown(found)
 
 
 def _optional_results(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> OptionalResults:

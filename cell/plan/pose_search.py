@@ -149,7 +149,8 @@ def search_views(
         with deferred_interrupt():
             samples, weights = draw_evaluated([(problem.M, problem.usable())], surface, len(initial), rng)
             table = make_table(samples, known)
-            coverable = table.measured(pool.T_object_scanner).any(axis=0)
+            pool_measured = table.measured(pool.T_object_scanner)
+            coverable = pool_measured.any(axis=0)
             needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0))
             shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
     except KeyboardInterrupt as stop:
@@ -165,7 +166,7 @@ def search_views(
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.
     result = search_poses(
         initial, pool, [Place(table.pick(needed), are_reachable)], weights[needed] / weights[coverable].sum(),
-        shortfall=shortfall, effort=effort, rng=rng,
+        shortfall=shortfall, effort=effort, rng=rng, pool_measured=pool_measured[:, needed],
         progress=lambda done, total, n_views: progress(done, total, len(fixed) + n_views),
     )  # fmt: skip
     # Views that hold the requirement on the fresh samples may miss the requested share of the held-out samples.

@@ -194,7 +194,7 @@ def _write_setup(
     with pipeline.open_run(inner, setup.settled.scene, setup.settled.part) as run:
         with run.session.stage("write the plan"):
             files.write_meshes(run.session.folder, surface.reference, surface.planning)
-            files.write_features(run.session.folder, run.settled.scene, run.settled.part)
+            pipeline.write_features(run.session.folder, run.settled)
             run.session.plots.part_ready(run.path)
         pipeline.compile_cell(run.session, run.settled, surface)
         files.write_measured(run.session.folder, problem)

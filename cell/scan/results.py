@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell.errors import FileError
-from cell.inspect.inspection import QIF_SOURCE, read_plan
+from cell.inspect.artefacts import QIF_SOURCE
+from cell.inspect.inspection import read_plan
 from cell.metrology import point_files
 from cell.metrology.inspect import inspect_execution
 from cell.metrology.reconstruct import REACH, Reconstruction, reconstruct

@@ -985,6 +985,11 @@ class Scene(Table):
     inspection: Inspection = Field(default_factory=Inspection)
     picture: Picture = Field(default_factory=Picture)
 
+    @property
+    def has_features(self) -> bool:
+        """Whether the scene or its QIF file defines features."""
+        return bool(self.feature) or self.inspection.qif is not None
+
     def require_fixed_part(self, feature: str) -> None:
         """Refuse a rotary table for a feature that does not support it.
 

@@ -154,6 +154,7 @@ def search_poses(
     shortfall: Shortfall,
     effort: int,
     rng: np.random.Generator,
+    pool_measured: Bools | None = None,
     progress: SearchProgress | None = None,
 ) -> SearchResult:
     """Search fewer views than the initial ones.
@@ -166,6 +167,7 @@ def search_poses(
         shortfall: share of the surface by which views miss the requirement, by exact rays; at most 0 if they hold it.
         effort: poses that are evaluated.
         rng: of proposals and accepted moves.
+        pool_measured: (n, S) whether each candidate measures each sample, if that is known.
         progress: called with evaluated poses, effort and number of views so far.
 
     Returns:
@@ -176,7 +178,7 @@ def search_poses(
     search = None
     try:
         with deferred_interrupt():
-            search = _Search(pool, places, weights, effort, rng, progress)
+            search = _Search(pool, places, weights, effort, rng, pool_measured, progress)
             while search.evaluated < before_last_part and len(found[-1]) > 1:
                 count = min(count, len(found[-1]) - 1)
                 fewer = search.repaired(found[-1], count, shortfall, before_last_part)
@@ -198,13 +200,13 @@ class _Search:
 
     def __init__(
         self, pool: SearchPoses, places: Sequence[Place], weights: Floats, effort: int, rng: np.random.Generator,
-        progress: SearchProgress | None,
+        pool_measured: Bools | None, progress: SearchProgress | None,
     ) -> None:  # fmt: skip
         self.pool, self.places, self.weights = pool, places, weights
         self.effort, self.rng, self.progress = effort, rng, progress
         self.order = rng.permutation(len(weights))  # sums over the first of them are spread over the surface
         self.evaluated, self.rounds = 0, 0
-        self.pool_measured = self._measured(pool)
+        self.pool_measured = self._measured(pool) if pool_measured is None else pool_measured
         self.pool_of_row = csr_array(self.pool_measured.T)
         self._set(pool.pick(np.arange(0)), np.empty((0, len(weights)), dtype=np.bool_))
 
