@@ -24,6 +24,8 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 _lock = threading.Lock()
 _waiting: dict[str, list[Callable[..., Any]]] = {}
 """Kernels that are not compiled yet, by module."""
+_at_first: list[Callable[[], None]] = []
+"""Functions that are called at the first compilation."""
 
 
 def compiled(kernel: Kernel) -> Kernel:
@@ -40,6 +42,12 @@ def compiled(kernel: Kernel) -> Kernel:
         return kernel.__globals__[kernel.__name__](*arguments)
 
     return cast(Kernel, call)
+
+
+def call_at_first_compilation(function: Callable[[], None]) -> None:
+    """Call a function when this process compiles its first kernel."""
+    if function not in _at_first:
+        _at_first.append(function)
 
 
 def _replace_by_dispatchers(module: str) -> None:
@@ -65,8 +73,10 @@ def _announce_compilation() -> None:
 
         def on_start(self, event: object) -> None:
             if not self.is_announced:
+                self.is_announced = True
                 log.warning("compiling inner loops, once for all later runs: this takes some seconds")
-            self.is_announced = True
+                for function in _at_first:
+                    function()
 
         def on_end(self, event: object) -> None:
             pass

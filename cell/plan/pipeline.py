@@ -63,6 +63,7 @@ from cell.world.checks import find_warnings, require_feasible
 from cell.world.clearance import MotionClearance
 from cell.world.measurability import PartSurface, surface_samples
 from cell.world.model import compile_settled
+from planner import first_use
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
@@ -158,6 +159,7 @@ def open_run(
         part: in place of the scene's part.
         with_plots: whether plots are drawn.
     """
+    first_use.share_compilation()
     with plots.plot_process() if with_plots else nullcontext(PlotQueue()) as queue:
         with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part

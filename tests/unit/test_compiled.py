@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import planner
 
 _CALL = """
@@ -27,6 +29,53 @@ def test_compilation_is_announced_once(tmp_path):
     ]
     assert errors[0].count(b"note: compiling inner loops") == 1
     assert errors[1] == b""
+
+
+_LATE = """
+from numba.core import event
+
+class Listener(event.Listener):
+    def on_start(self, event):
+        print(event.data["dispatcher"].py_func.__module__)
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Listener())
+"""
+
+
+@pytest.mark.slow
+def test_the_second_process_compiles_the_kernels_of_selection_and_ordering(tmp_path, part_file):
+    """A plan after it compiles no kernel of `planner.cover` and `planner.tour`: the small problems have its types."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    plan = f"from cell.cli import main; main(['plan', {str(part_file)!r}, '--units', 'mm', '--out', 'run'])"
+
+    def compiled_modules(code: str) -> set[str]:
+        command = [sys.executable, "-c", _LATE + code]
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, cwd=tmp_path)
+        return {line for line in done.stdout.splitlines() if line.startswith(("planner.", "cell."))}
+
+    late = compiled_modules("from planner.first_use import compile_late_kernels; compile_late_kernels()")
+    assert {"planner.cover.search", "planner.tour.ruin_and_recreate"} <= late
+    others = compiled_modules("from planner import first_use; first_use.share_compilation = lambda: None\n" + plan)
+    assert "planner.viewpoints.pose_search" in others
+    assert not {name for name in others if name.startswith(("planner.cover", "planner.tour"))}
+
+
+def test_the_first_compilation_calls_functions(tmp_path):
+    """A function that is registered twice is called once, at the first compilation, and not without one."""
+    code = """
+from planner.compiled import call_at_first_compilation
+show = lambda: print("first compilation")
+call_at_first_compilation(show)
+call_at_first_compilation(show)
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    outputs = [
+        subprocess.run([sys.executable, "-c", code + _CALL], env=environment, check=True, capture_output=True).stdout
+        for _ in range(2)
+    ]
+    assert outputs == [b"first compilation\n", b""]
 
 
 def test_a_kernel_calls_only_kernels_of_its_own_file():
