@@ -6,6 +6,7 @@ Nothing is pickled. docs/internals/run_folder.md describes the layout, `SCHEMA` 
 """
 
 import errno
+import functools
 import hashlib
 import json
 import os
@@ -251,13 +252,15 @@ def _reason(error: OSError) -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of Python, of this project and of the packages that affect results."""
-    found = {"python": platform.python_version()}
-    for name in _VERSIONS_OF:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return {"python": platform.python_version(), **{name: _version(name) for name in _VERSIONS_OF}}
+
+
+@functools.cache  # reading the metadata of all packages takes 50 ms, and an exploration writes 30 folders
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 PROCESS_KEYS = ("pid", "pid_start", "machine")

@@ -21,7 +21,7 @@ from cell.session import Session
 from cell.study.prepared_part import scene_from_settings, scene_settings
 from cell.study.trials import JsonTable, Trial
 
-N_PLANNED = 4
+N_PLANNED = 2
 """Placements that are planned besides that of the scene."""
 
 Place = tuple[float, ...]
