@@ -95,7 +95,8 @@ class ScanOptions(CurrentFiles):
         str,
         Option(
             "Source of the points: simulated; files:DIR, one PLY, PCD or text file per view, named by its number; "
-            "command:CMD, called with view, pose and the file to write; or another installed source.",
+            "command:CMD, called with view, pose and the file to write; genicam:DEVICE, a 3D camera; or another "
+            "installed source.",
             _POINTS,
             metavar="SOURCE",
         ),
@@ -110,7 +111,8 @@ class ScanOptions(CurrentFiles):
         NotNegative, Option("Time that the arm waits for a view's file, with --acquire files.", _POINTS)
     ] = 0.0
     acquire_timeout_s: Annotated[
-        Positive, Option("Longest duration of a call, with --acquire command; there are three attempts.", _POINTS)
+        Positive,
+        Option("Longest duration of a call, with --acquire command, of three attempts, or of a frame.", _POINTS),
     ] = 60.0
     speed: Annotated[
         SpeedShare | None,
