@@ -26,7 +26,7 @@ from drivers.contract import Fault, RobotState
 from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.kvp import KukaController, KvpStation
-from drivers.emulated.rsi import RsiController
+from drivers.emulated.rsi import UDP_FAULTS, RsiController
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
 from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.emulated.ur import UrController, UrServer
@@ -150,6 +150,10 @@ def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, a
     _refuse_options("rsi", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale"))
     _require_arm_only("rsi", arm)
     _require_cycle(options.cycle_ms)
+    faults = () if injector is None else (*injector.faults.random, *(each.name for each in injector.faults.scheduled))
+    for name in faults:
+        if name not in UDP_FAULTS:
+            raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
     try:
