@@ -99,8 +99,11 @@ class RsiController:
     def emergency_stop(self, pressed: bool = True) -> None:
         """Press or release the emergency stop; after its release a person starts the program again."""
         self.is_stopped = pressed
-        if pressed:
-            self._end("emergency stop")
+        self._end("emergency stop")
+
+    def count_late(self) -> None:
+        """Count a late or wrong answer."""
+        self.late += 1
 
     def pause(self, seconds: float) -> None:
         """Send no telegram for some time."""
@@ -116,7 +119,8 @@ class RsiController:
 
     def _send(self) -> None:
         if self._is_attached and not self._is_answered and not self.is_stopped:
-            self.late, self._n_silent = self.late + 1, self._n_silent + 1
+            self.count_late()
+            self._n_silent += 1
             if self._n_silent > rsi.TIMEOUT_CYCLES:
                 self._end("timeout")
         self._ipoc, self._is_answered = self._ipoc + self.cycle_ms, False

@@ -7,10 +7,10 @@ the arm has stood still for a cycle. The last accepted correction is then repeat
 path goes on from there, from rest to full speed within `RAMP` seconds.
 
 Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered any more:
-corrections count from the axes at the beginning of RSI. It has started RSI again if its count of late answers is less
-than before or than the cycles by which its clock has jumped, or if its clock begins again. For the same reason a
-session that began with another client, whose telegrams count late answers, is not answered until the controller has
-ended it.
+corrections count from the axes at the beginning of RSI. It has started RSI again if its clock or its count of late
+answers begins again, or if its clock has jumped, the missed answers are not counted, and the corrections that it
+reports are not those of before. For the same reason a session that began with another client, whose telegrams count
+late answers, is not answered until the controller has ended it.
 
 Only the sender of the first telegram is answered. An arm that begins outside its limits is not driven: its corrections
 stay as they are, and the answer to the client names the axis.
@@ -104,6 +104,11 @@ class CorrectedArm:
         is_near = bool((np.abs(self.actual - reference.end) < _NEAR).all())
         return self.accepted - begin >= reference.duration - TICK and is_near
 
+    def explains(self, applied: Floats, actual: Floats) -> bool:
+        """Return whether reported corrections and axes (6,) [rad] are those of the last answer or the one before it."""
+        off = min(np.abs(applied - self._correction_at(moment)).max() for moment in (self.sent, self.accepted))
+        return bool(max(off, np.abs(actual - applied - self.base).max()) < _NEAR)
+
     def follow(self, reference: Reference) -> None:
         """Take a new reference; earlier ones are needed as long as their end is not accepted.
 
@@ -123,8 +128,11 @@ class CorrectedArm:
     @property
     def correction(self) -> Floats:
         """(6,) correction of the last answer [rad]."""
-        begin, reference = self._references[self._active(self.sent)]
-        return np.asarray(reference.sample(np.array([self.sent - begin]))[0][0] - self.base)
+        return self._correction_at(self.sent)
+
+    def _correction_at(self, moment: float) -> Floats:
+        begin, reference = self._references[self._active(moment)]
+        return np.asarray(reference.sample(np.array([moment - begin]))[0][0] - self.base)
 
     def _active(self, moment: float) -> int:
         return max(bisect_right(self._references, moment, key=itemgetter(0)) - 1, 0)
@@ -205,7 +213,12 @@ class Stream:
             if missed >= rsi.TIMEOUT_CYCLES:
                 self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
         counted = telegram.late - self._counted
-        if passed < 0 or counted < 0 or counted < missed - _LAG:
+        is_uncounted = counted < missed - _LAG
+        if (
+            passed < 0
+            or counted < 0
+            or (is_uncounted and not self._arm.explains(np.radians(telegram.applied_deg), axes))
+        ):
             self._fail("the controller has started RSI again")
         if self._arm.failure:  # corrections of an ended session would be wrong in a new one
             self._last, self._arm.actual = telegram.ipoc, axes

@@ -304,6 +304,41 @@ def test_a_restart_without_late_answers_is_found(bench: Bench, cycles: int) -> N
         assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
 
 
+def test_a_restart_after_the_arm_was_moved_by_hand_is_found(bench: Bench) -> None:
+    """The corrections are zero before and after: the axes tell that the session is another one."""
+    with bench.driver() as driver:
+        assert driver.state().at_rest
+        bench.controller.emergency_stop()
+        threading.Event().wait(20 * bench.controller.cycle_ms / 1000.0)
+        bench.controller.axes = bench.controller.axes + 0.5
+        bench.controller.emergency_stop(False)
+        threading.Event().wait(0.1)
+        with pytest.raises(DriverError, match="the controller has started RSI again"):
+            driver.move(NEAR, 0.3)
+    assert bench.controller.driven == []
+
+
+def test_missed_answers_that_are_counted_later_are_no_restart(bench: Bench) -> None:
+    """A controller may count them when it is answered again: its corrections are still the same."""
+    with bench.driver() as driver:
+        process = driver._link._process  # type: ignore[attr-defined]
+
+        def freeze() -> None:
+            held, count = bench.controller.late, bench.controller.count_late
+            bench.controller.count_late = lambda: None
+            os.kill(process.pid, signal.SIGSTOP)
+            threading.Event().wait(0.1)
+            os.kill(process.pid, signal.SIGCONT)
+            threading.Event().wait(0.05)
+            bench.controller.count_late = count
+            bench.controller.late = held + 8
+
+        thread = bench.when_moving(freeze)
+        assert driver.move(FAR, 0.3).axes.tolist() == FAR[0].tolist()
+        thread.join(5.0)
+    assert bench.deviation_deg(FAR) < 1e-5
+
+
 def test_a_clock_that_begins_again_is_a_restart() -> None:
     """A session whose clock begins below the last one is not taken for delayed telegrams."""
     with serve(HOME_Q.copy(), 4) as bench:
