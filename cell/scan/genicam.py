@@ -68,7 +68,7 @@ class GenICam:
         self._device = device
         self._features = [(name, value) for name, value in settings if name not in _OPTIONS]
         own = dict(settings)
-        self._producers = _producers(own.get("producer"))
+        self._producer = own.get("producer")
         try:
             self._min_confidence = float(own.get("min_confidence", 0))
         except ValueError:
@@ -120,7 +120,7 @@ class GenICam:
         failures: _Errors = (*errors, OSError)
         camera = None
         try:
-            for path in self._producers:
+            for path in _producers(self._producer):
                 harvester.add_file(str(path), check_validity=True)
             harvester.update()
             info, name = _select(harvester.device_info_list, self._device, errors)

@@ -7,6 +7,7 @@ and a node map that GenApi makes of XML.
 """
 
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -143,6 +144,13 @@ def test_devices_and_settings_that_do_not_exist(argument: str, words: str, monke
     monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
     with pytest.raises(UsageError, match=words):
         open_device(argument.format(PRODUCER))
+
+
+def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message has the command that installs it."""
+    monkeypatch.setitem(sys.modules, "harvesters.core", None)
+    with pytest.raises(UsageError, match=r"pip install 'scan-cell\[genicam\]'"):
+        open_device("0")
 
 
 def test_an_installed_producer_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
