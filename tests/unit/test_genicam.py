@@ -185,20 +185,30 @@ def test_a_view_without_a_usable_frame_is_missing(settings: str, words: str) -> 
     assert notes[0].startswith("view 3 is missing: ")
 
 
-def nodes_of(mode: str, axes: dict[str, tuple[float, float]], *more: str, missing: float | None = None) -> Any:
-    """Return a node map with scale and offset of each axis."""
-    numbers = {axis: k for k, axis in enumerate(axes)}
+def coordinate_nodes(prefix: str, axes: dict[str, tuple[float, float]], missing: float | None) -> str:
+    """Return the features of scale, offset and missing data of each axis."""
     entries = "".join(
-        f'<EnumEntry Name="Coordinate{axis}"><Value>{k}</Value></EnumEntry>' for axis, k in numbers.items()
+        f'<EnumEntry Name="Coordinate{axis}"><Value>{k}</Value></EnumEntry>' for k, axis in enumerate(axes)
     )
 
-    def indexed(name: str, values: dict[str, float]) -> str:
-        rows = "".join(
-            f'<ValueIndexed Index="{numbers[axis]}">{each!r}</ValueIndexed>' for axis, each in values.items()
-        )
-        return f'<Float Name="{name}"><pIndex>Axis</pIndex>{rows}<ValueDefault>0</ValueDefault></Float>'
+    def indexed(name: str, values: list[float]) -> str:
+        rows = "".join(f'<ValueIndexed Index="{k}">{value!r}</ValueIndexed>' for k, value in enumerate(values))
+        end = "<ValueDefault>0</ValueDefault></Float>"
+        return f'<Float Name="{prefix}{name}"><pIndex>{prefix}Axis</pIndex>{rows}{end}'
 
-    text = f"""<?xml version="1.0" encoding="utf-8"?>
+    return f"""
+    <Enumeration Name="{prefix}CoordinateSelector">{entries}<pValue>{prefix}Axis</pValue></Enumeration>
+    <Integer Name="{prefix}Axis"><Value>0</Value></Integer>
+    {indexed("CoordinateScale", [scale for scale, _ in axes.values()])}
+    {indexed("CoordinateOffset", [offset for _, offset in axes.values()])}
+    <Boolean Name="{prefix}InvalidDataFlag"><Value>{"true" if missing is not None else "false"}</Value></Boolean>
+    <Float Name="{prefix}InvalidDataValue"><Value>{missing or 0.0!r}</Value></Float>"""
+
+
+def nodes_of(mode: str, axes: dict[str, tuple[float, float]], *more: str, missing: float | None = None) -> Any:
+    """Return a node map with scale and offset of each axis."""
+    nodes = genicam.genapi.NodeMap()
+    nodes.load_xml_from_string(f"""<?xml version="1.0" encoding="utf-8"?>
     <RegisterDescription ModelName="M" VendorName="V" StandardNameSpace="None" SchemaMajorVersion="1"
       SchemaMinorVersion="1" SchemaSubMinorVersion="0" MajorVersion="1" MinorVersion="0" SubMinorVersion="0"
       ProductGuid="11111111-1111-1111-1111-111111111111" VersionGuid="11111111-1111-1111-1111-111111111112"
@@ -206,16 +216,9 @@ def nodes_of(mode: str, axes: dict[str, tuple[float, float]], *more: str, missin
     <Category Name="Root" NameSpace="Standard"><pFeature>Scan3dOutputMode</pFeature></Category>
     <Enumeration Name="Scan3dOutputMode"><EnumEntry Name="{mode}"><Value>0</Value></EnumEntry><Value>0</Value>
     </Enumeration>
-    <Enumeration Name="Scan3dCoordinateSelector">{entries}<pValue>Axis</pValue></Enumeration>
-    <Integer Name="Axis"><Value>0</Value></Integer>
-    {indexed("Scan3dCoordinateScale", {axis: pair[0] for axis, pair in axes.items()})}
-    {indexed("Scan3dCoordinateOffset", {axis: pair[1] for axis, pair in axes.items()})}
-    <Boolean Name="Scan3dInvalidDataFlag"><Value>{"true" if missing is not None else "false"}</Value></Boolean>
-    <Float Name="Scan3dInvalidDataValue"><Value>{missing or 0.0!r}</Value></Float>
+    {coordinate_nodes("Scan3d", axes, missing)}
     {" ".join(more)}
-    </RegisterDescription>"""
-    nodes = genicam.genapi.NodeMap()
-    nodes.load_xml_from_string(text)
+    </RegisterDescription>""")
     return nodes
 
 
@@ -258,6 +261,15 @@ def test_interleaved_and_planar_coordinates_are_equal(name: str, form: str) -> N
     assert (mixed == read_frame(single, nodes).points).all()
 
 
+def test_the_scale_of_the_frame_is_used_before_that_of_the_settings() -> None:
+    """Chunk data belong to the frame; the settings may have changed since."""
+    chunk = coordinate_nodes("ChunkScan3d", {"A": (2.0, 0.0), "B": (3.0, 0.0), "C": (4.0, 5.0)}, 7.0)
+    raw = np.array([[[1, 1, 1], [2, 2, 7]]], dtype="<u2")
+    points = read_frame([component("Coord3D_ABC16", raw, (1, 2))], nodes_of("CalibratedABC_Grid", AXES, chunk)).points
+    assert points[0, 0].tolist() == [2.0, 3.0, 9.0]
+    assert np.isnan(points[0, 1, 2])
+
+
 def test_profiles_with_uniform_rows() -> None:
     """In mode CalibratedAC the B axis has scale and offset only."""
     raw = np.arange(12, dtype="<f4").reshape(2, 3, 2)
@@ -288,13 +300,14 @@ def test_frames_without_three_coordinates_are_refused(
 
 
 def test_whole_numbers_without_a_scale_are_refused() -> None:
-    """Whole numbers are no lengths."""
+    """Integers are not lengths."""
     raw = component("Coord3D_ABC16", np.zeros(18, dtype="<u2"), (2, 3))
     with pytest.raises(_FrameError, match="without Scan3dCoordinateScale"):
         read_frame([raw], nodes_of("CalibratedABC_Grid", {"A": (1.0, 0.0)}))
 
 
-def test_holes_are_missing_points_of_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("option", "pixels"), [("", [0, 3, 4]), ("&min_confidence=5", [0, 4])])
+def test_holes_are_missing_points_of_the_grid(option: str, pixels: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """NaN, the origin, confidence 0 and a low one leave points out; the others keep their pixels and confidence."""
     points = np.arange(18.0).reshape(2, 3, 3)
     points[0, 1, 2] = np.nan
@@ -302,13 +315,13 @@ def test_holes_are_missing_points_of_the_grid(monkeypatch: pytest.MonkeyPatch) -
     confidence = np.array([[9.0, 9.0, 0.0], [4.0, 5.0, 9.0]])
     frame: Callable[..., DepthGrid] = lambda camera, timeout: DepthGrid(points, confidence, "mm")  # noqa: E731
     monkeypatch.setattr("cell.scan.genicam._capture", frame)
-    taken = open_device(f"0?producer={PRODUCER}&min_confidence=5").take(SimpleNamespace(stop=1))
+    taken = open_device(f"0?producer={PRODUCER}{option}").take(SimpleNamespace(stop=1))
     assert taken is not None
-    assert taken.arrays["pixel"].tolist() == [0, 4]
+    assert taken.arrays["pixel"].tolist() == pixels
     assert taken.arrays["grid_shape"].tolist() == [2, 3]
-    assert taken.arrays["confidence"].tolist() == [9.0, 5.0]
-    np.testing.assert_array_equal(taken.points, 0.001 * points.reshape(-1, 3)[[0, 4]])
-    assert taken.details == {"missing": 4}
+    assert taken.arrays["confidence"].tolist() == confidence.ravel()[pixels].tolist()
+    np.testing.assert_array_equal(taken.points, 0.001 * points.reshape(-1, 3)[pixels])
+    assert taken.details == {"missing": 6 - len(pixels)}
 
 
 def test_a_software_trigger_is_given_for_each_frame() -> None:
