@@ -4,7 +4,8 @@ Each fault occurs during 1 % of the moves at a random moment: lost connections, 
 safety stops, a program ended by a person. The moves are compared with what the emulated controller executed: over
 `ur://` with the numbers of its commands, over `rsi://` with the axes of every cycle, which must proceed on the
 commanded line. `python -m benchmarks soak` has the moves over `kvp://`, compared with a journal. `ONLINE_SOAK_MOVES` in
-the environment changes the 500 moves, `ONLINE_SOAK_KILLS` the 20 kills, `ONLINE_SOAK_WIRES` the wires.
+the environment changes the 500 moves, `ONLINE_SOAK_KILLS` the 20 kills, `ONLINE_SOAK_WIRES` the wires,
+`ONLINE_SOAK_CYCLE_MS` the 4 ms of `rsi://`.
 """
 
 import os
@@ -116,7 +117,8 @@ def _kvp() -> Iterator[Bench]:
 
 @contextmanager
 def _rsi() -> Iterator[Bench]:
-    controller = RsiController(to_rad(HOME), RealTimeClock())
+    cycle_ms = int(os.environ.get("ONLINE_SOAK_CYCLE_MS", "4"))
+    controller = RsiController(to_rad(HOME), RealTimeClock(), cycle_ms=cycle_ms)
 
     def count_wrong(start: SetPoints, goal: SetPoints, outcome: str) -> int:
         rows, controller.driven = np.array(controller.driven).reshape(-1, 6), []

@@ -126,6 +126,7 @@ class ScanKeywords(_EveryScanKeywords, _CurrentFilesKeywords, total=False):
     seed: int | None
     close_holes: bool
     speed: float | None
+    states: File | None
 
 
 class ExploreKeywords(PlanKeywords, _EveryScanKeywords, total=False):

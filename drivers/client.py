@@ -242,6 +242,9 @@ class ControllerClient:
         clock: used for all waiting.
         limits: limits of the arm, by which moves are refused and arrivals checked.
         notify: receives a message about a long wait.
+
+    Attributes:
+        on_state: receives each state that is read; an exception that it raises ends a move. None: nothing.
     """
 
     def __init__(
@@ -254,6 +257,7 @@ class ControllerClient:
     ) -> None:
         self._link, self._clock = link, clock
         self._limits, self._notify = limits, notify
+        self.on_state: Callable[[RobotState], None] | None = None
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
         self._ledger = SequenceLedger(link, secrets.randbelow(65535) + 1, self._read)
         self._capabilities: Capabilities | None = None
@@ -387,6 +391,8 @@ class ControllerClient:
 
     def _read(self) -> RobotState:
         state = self._link.state()
+        if self.on_state is not None:
+            self.on_state(state)
         self._heartbeat = state.heartbeat
         if not self._fault and status.latched_fault(state):
             self._fault = status.fault_error(state)

@@ -2,7 +2,7 @@
 
 | suffix | content | unit |
 |---|---|---|
-| `.e57` | each scan in its scanner's frame with its pose; deviation [mm] as intensity | m |
+| `.e57` | each scan in its scanner's frame with its pose; deviation [mm] as intensity, row and column of the grid | m |
 | `.ptx` | each scan in its scanner's frame with its pose | m |
 | `.las`, `.laz` | points with number of the view and `deviation_mm` | m |
 | `.pcd` | points with `deviation_mm` and `view` | mm |
@@ -26,7 +26,7 @@ from cell.files import atomic_write
 from cell.metrology import scan_files
 from cell.metrology.scan_files import PosedScan
 from cell.runs import ply
-from cell.runs.run import Execution, RecordedExecution, Run, read_execution
+from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, read_execution
 from cell.view.palette import SIGNED
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.rigid import inverse_rigid
@@ -35,6 +35,7 @@ from planner.values import Floats
 
 SUFFIXES = (*scan_files.SUFFIXES, ".pcd", ".csv", ".ply", ".stl", ".obj", ".glb")
 
+_LARGEST_GRID = 2**16  # rows or columns that an index of E57 counts
 _FULL_COLOUR = 0.95  # share of the deviations within the scale of colours
 
 
@@ -83,10 +84,19 @@ def _scans(run: Run, recorded: RecordedExecution) -> list[PosedScan]:
     scans = []
     for scan in recorded.scans:
         deviation = nearest.signed_distance(scan.points) * 1000.0 if len(scan.points) else np.zeros(0)
-        scans.append(
-            PosedScan(transform_points(inverse_rigid(scan.T_reported), scan.points), scan.T_reported, deviation)
-        )
+        points = transform_points(inverse_rigid(scan.T_reported), scan.points)
+        scans.append(PosedScan(points, scan.T_reported, deviation, _pixels(scan)))
     return scans
+
+
+def _pixels(scan: ExecutedScan) -> NDArray[np.uint16] | None:
+    """Return row and column (P, 2) of the points in the grid of a scan; None without points, or if it has no grid."""
+    if not len(scan.points) or not {"pixel", "grid_shape"} <= scan.stored.keys():
+        return None
+    shape = scan.stored["grid_shape"]
+    if max(shape) > _LARGEST_GRID or len(scan.stored["pixel"]) != len(scan.points):
+        return None
+    return np.stack(np.unravel_index(scan.stored["pixel"], shape), axis=1).astype(np.uint16)
 
 
 def _table(scans: list[PosedScan], kind: str) -> bytes:

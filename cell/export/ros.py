@@ -17,7 +17,6 @@ from cell.runs.folder import SCHEMA
 from cell.runs.run import Run
 from planner.geometry.rigid import inverse_rigid
 from planner.kinematics.frames import kuka_abc_from_pose
-from planner.ports import axis_name
 from planner.values import Floats, Ints32
 
 _NANO = 10**9
@@ -27,10 +26,8 @@ _EFFORT = "1000"  # URDF requires a limit of torque; no maker states one
 def files(name: str, run: Run) -> dict[str, bytes]:
     """Return the files of the motion and the cell of a run."""
     model = run.cell_model()
-    axes = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
     meshes, urdf = _urdf(name, model, run)
-    names = [*axes, *(axis_name(axis) for axis in range(len(axes), run.motion.q.shape[1]))]
-    return {f"{name}_trajectory.json": _trajectory(name, run, names), f"{name}.urdf": urdf, **meshes}
+    return {f"{name}_trajectory.json": _trajectory(name, run, run.joint_names()), f"{name}.urdf": urdf, **meshes}
 
 
 def _trajectory(name: str, run: Run, joint_names: list[str]) -> bytes:

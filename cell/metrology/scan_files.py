@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.text import decode
@@ -34,11 +35,13 @@ class PosedScan:
         points: (P, 3) [m], scanner frame.
         T: (4, 4) pose of the scanner in the frame of the file [m].
         values: (P,) of the points; None: none.
+        pixels: (P, 2) row and column of each point in the grid of the scan, uint16; None: not organised.
     """
 
     points: Floats
     T: Floats
     values: Floats | None = None
+    pixels: NDArray[np.uint16] | None = None
 
     @property
     def points_in_file(self) -> Floats:
@@ -135,6 +138,8 @@ def _write_e57(path: Path, scans: Sequence[PosedScan]) -> None:
             data = {f"cartesian{axis}": np.ascontiguousarray(scan.points[:, k]) for k, axis in enumerate("XYZ")}
             if scan.values is not None:
                 data["intensity"] = np.ascontiguousarray(scan.values)
+            if scan.pixels is not None:
+                data["rowIndex"], data["columnIndex"] = map(np.ascontiguousarray, scan.pixels.T)
             x, y, z, w = Rotation.from_matrix(scan.T[:3, :3]).as_quat()
             file.write_scan_raw(
                 data, name=f"view {number}", rotation=np.array([w, x, y, z]), translation=scan.T[:3, 3].copy()

@@ -52,7 +52,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
-from planner.ports import ARM_AXES, JointLimits, Rejection
+from planner.ports import ARM_AXES, JointLimits, Rejection, axis_name
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
@@ -325,6 +325,14 @@ class Run(ArtefactFolder):
         """Return `cell.xml`, compiled."""
         with self.compiling():
             return self.cell_spec().compile()
+
+    def joint_names(self) -> list[str]:
+        """Return the names of the joints: those of the robot file, and of a rotary table."""
+        import mujoco
+
+        model = self.cell_model()
+        own = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
+        return [*own, *(axis_name(axis) for axis in range(len(own), self.motion.q.shape[1]))]
 
     @contextmanager
     def compiling(self) -> Iterator[None]:

@@ -6,8 +6,8 @@ implements `Acquisition`. Another distribution adds one with
     [project.entry-points."cell.acquisition"]
     acme = "acme_scanner.points:Acme"       # then --acquire acme:192.168.0.7
 
-docs/internals/plug_ins.md shows how to write one. `Files` and `Command` are two of them; the virtual scanner is
-`cell.scan.simulated`.
+docs/internals/plug_ins.md shows how to write one. `Files` and `Command` are two of them; `cell.scan.genicam` reads
+cameras, `cell.scan.simulated` is the virtual scanner.
 """
 
 import hashlib
@@ -162,7 +162,7 @@ def load(text: str) -> tuple[AcquisitionClass, str]:
     """Return the class that `--acquire` names, and its argument.
 
     Args:
-        text: "simulated", "files:DIR", "command:CMD" or "NAME:ARGUMENT".
+        text: "simulated", "files:DIR", "command:CMD", "genicam:DEVICE" or "NAME:ARGUMENT".
 
     Raises:
         UsageError: if no installed distribution has the name, two have it, or the class cannot be imported.

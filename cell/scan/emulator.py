@@ -5,9 +5,10 @@ receives it. It is written to a temporary file that is renamed, so that a kill a
 one. The file survives the process, not a crash of the machine: it is not synchronised to the disk.
 """
 
+import contextlib
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,12 @@ from cell.runs.cell import table_of
 from cell.runs.run import open_run
 from cell.scan.emulator_options import EmulateOptions
 from cell.scan.plants import built_in_plants, plants_of_run
-from drivers.clock import RealTimeClock
+from drivers.clock import Clock, RealTimeClock
 from drivers.contract import Fault, RobotState
 from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.kvp import KukaController, KvpStation
-from drivers.emulated.rsi import RsiController
+from drivers.emulated.rsi import UDP_FAULTS, RsiController
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
 from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.emulated.ur import UrController, UrServer
@@ -135,14 +136,9 @@ def _emulate_kvp(options: EmulateOptions, arm: Arm, injector: Injector | None, a
         line = TcpLine(options.port)
     except DriverError as error:
         raise DriverFailureError(str(error)) from error
-    server = Server(KvpStation(controller), line, clock, injector)
-    try:
+    with _until_stopped(line, options, clock) as is_over:
         announce(f"kvp://{line.name}")
-        server.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
-    except KeyboardInterrupt:
-        pass  # the usual end
-    finally:
-        line.close()
+        Server(KvpStation(controller), line, clock, injector).serve(is_over)
 
 
 def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, announce: Callable[[str], None]) -> None:
@@ -150,19 +146,26 @@ def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, a
     _refuse_options("rsi", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale"))
     _require_arm_only("rsi", arm)
     _require_cycle(options.cycle_ms)
+    faults = () if injector is None else (*injector.faults.random, *(each.name for each in injector.faults.scheduled))
+    for name in faults:
+        if name not in UDP_FAULTS:
+            raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
     try:
         controller = RsiController(to_rad(from_rad(home)), clock, options.port, options.cycle_ms, injector)
     except DriverError as error:
         raise DriverFailureError(str(error)) from error
-    try:
+    with _until_stopped(controller, options, clock) as is_over:
         announce(controller.url)
-        controller.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
-    except KeyboardInterrupt:
-        pass  # the usual end
-    finally:
-        controller.close()
+        controller.serve(is_over)
+
+
+@contextlib.contextmanager
+def _until_stopped(served: Any, options: EmulateOptions, clock: Clock) -> Iterator[Callable[[], bool]]:
+    """Yield whether the time of the options is over; Ctrl-C is the usual end of the block, which then closes."""
+    with contextlib.closing(served), contextlib.suppress(KeyboardInterrupt):
+        yield lambda: options.seconds is not None and clock.now() >= options.seconds
 
 
 def _require_cycle(cycle_ms: int) -> None:
@@ -196,13 +199,9 @@ def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], Non
         )
     except DriverError as error:
         raise DriverFailureError(str(error)) from error
-    try:
+    with _until_stopped(server, options, clock) as is_over:
         announce(server.url)
-        server.serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
-    except KeyboardInterrupt:
-        pass  # the usual end
-    finally:
-        server.close()
+        server.serve(is_over)
 
 
 def load_arm(run_folder: Path | None, plant: str) -> Arm:

@@ -36,7 +36,7 @@ _SETUP_ERROR = Option(
 )
 RESUME_OPTIONS = frozenset(
     {
-        *("driver", "realtime", "confirm_motion", "speed", "reset", "accept_time_scale"),
+        *("driver", "realtime", "confirm_motion", "speed", "reset", "accept_time_scale", "states"),
         *("scene", "part", "accept_changed_scene"),
     }
 )
@@ -95,7 +95,8 @@ class ScanOptions(CurrentFiles):
         str,
         Option(
             "Source of the points: simulated; files:DIR, one PLY, PCD or text file per view, named by its number; "
-            "command:CMD, called with view, pose and the file to write; or another installed source.",
+            "command:CMD, called with view, pose and the file to write; genicam:DEVICE, a 3D camera; or another "
+            "installed source.",
             _POINTS,
             metavar="SOURCE",
         ),
@@ -110,7 +111,8 @@ class ScanOptions(CurrentFiles):
         NotNegative, Option("Time that the arm waits for a view's file, with --acquire files.", _POINTS)
     ] = 0.0
     acquire_timeout_s: Annotated[
-        Positive, Option("Longest duration of a call, with --acquire command; there are three attempts.", _POINTS)
+        Positive,
+        Option("Longest duration of a call, with --acquire command, of three attempts, or of a frame.", _POINTS),
     ] = 60.0
     speed: Annotated[
         SpeedShare | None,
@@ -138,6 +140,12 @@ class ScanOptions(CurrentFiles):
         ),
     ] = None
 
+    states: Annotated[
+        Path | None,
+        Field(strict=False),
+        Option("File to which each state of the controller is appended as a JSON line.", REAL_ROBOT, metavar="FILE"),
+    ] = None
+
     @model_validator(mode="after")
     def _check_errors(self) -> Self:
         errors = self.range_noise_mm or self.pose_error_mm or self.pose_error_deg or self.noise != "none"
@@ -149,7 +157,7 @@ class ScanOptions(CurrentFiles):
             raise ValueError(".actual_units is the unit of --actual, which is missing")
         return self
 
-    @field_validator("actual")
+    @field_validator("actual", "states")
     @classmethod
     def _make_absolute(cls, given: Path | None) -> Path | None:
         return None if given is None else given.expanduser().absolute()
@@ -198,14 +206,14 @@ class ScanOptions(CurrentFiles):
         if resume is not None and given - RESUME_OPTIONS:
             raise UsageError(
                 "--resume keeps the options of the execution; with it give only --driver, --realtime, --speed, "
-                "--confirm-motion, --reset, --accept-time-scale, --scene, --part and --accept-changed-scene"
+                "--confirm-motion, --reset, --accept-time-scale, --states, --scene, --part and --accept-changed-scene"
             )
         if report is not None and given:
             raise UsageError("--report uses the existing scans; omit the options of a new scan")
 
     def as_manifest(self) -> dict[str, JsonValue]:
         """Return the options as the manifest stores them, with resolved defaults, for a later report."""
-        values = self.model_dump(mode="json", exclude={"registration", "confirm_motion"})
+        values = self.model_dump(mode="json", exclude={"registration", "confirm_motion", "states"})
         files = {name: values.pop(name) for name in CurrentFiles.model_fields}
         return {**values, **files, "register": self.registers}
 

@@ -33,6 +33,7 @@ from cell.scan.plants import plants_of_run
 from cell.scan.results import ScanOutcome, exit_code_of, report_execution, usable_scans
 from cell.scan.resume import plan_resume
 from cell.scan.safety import ApprovedMotion
+from cell.scan.states import record_states
 from cell.scan.table_turns import remove_whole_turns
 from cell.session import Session
 from drivers.contract import Driver
@@ -78,6 +79,8 @@ def execute_run(
     cell = _cell(run, options, true_part)
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
+    if options.states is not None:
+        record_states(driver, clock, options.states, run.joint_names())
     actual = as_built.read_actual(options)
     as_built.require_clearance(actual, cell, run.proven_clearance)
     stored = options.as_manifest() | {"scanner": cell.scanner_keys.as_json()} | as_built.manifest_keys(actual)
@@ -159,6 +162,8 @@ def _resume(
     if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
         session.note(warning)
     driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
+    if options.states is not None:
+        record_states(driver, clock, options.states, run.joint_names())
     if options.is_simulated:
         safety.require_room(cell, plan, run.folder)
     with ExitStack() as stack:

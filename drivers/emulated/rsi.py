@@ -20,6 +20,9 @@ from drivers.errors import LinkError
 from drivers.setpoints import Floats
 from drivers.wires import rsi
 
+UDP_FAULTS: Final = ("drop", "delay", "duplicate", "reorder")
+"""Faults of the wire; its checksum drops telegrams with wrong bits."""
+
 _MAX_STEP: Final = 0.02
 
 
@@ -35,11 +38,12 @@ class RsiController:
 
     Attributes:
         url: of a driver for it.
-        driven: executed axes [deg], one row for each cycle in which they changed.
+        driven: corrected axes [deg], one row for each cycle in which they changed.
         ended: number of ended sessions by cause.
         cycle_ms: 4 or 12.
         late: late and wrong answers of the current session.
         is_stopped: whether the emergency stop is pressed: RSI is ended, and no telegram is sent.
+        is_blocked: whether the arm stands still, as behind a brake, while corrections are accepted.
     """
 
     def __init__(
@@ -63,9 +67,10 @@ class RsiController:
         self.axes = np.degrees(q)
         self.driven: list[Floats] = []
         self.ended = {"client": 0, "timeout": 0, "emergency stop": 0}
-        self.is_stopped = False
+        self.is_stopped = self.is_blocked = False
         self.late = self._n_silent = 0
         self._base, self._is_attached, self._is_answered = self.axes.copy(), False, True
+        self._corrected = self._base
         self._ipoc, self._due, self._n_lost = 1000, clock.now(), 0
         self._later: list[tuple[float, Callable[[], None]]] = []
 
@@ -94,8 +99,11 @@ class RsiController:
     def emergency_stop(self, pressed: bool = True) -> None:
         """Press or release the emergency stop; after its release a person starts the program again."""
         self.is_stopped = pressed
-        if pressed:
-            self._end("emergency stop")
+        self._end("emergency stop")
+
+    def count_late(self) -> None:
+        """Count a late or wrong answer."""
+        self.late += 1
 
     def pause(self, seconds: float) -> None:
         """Send no telegram for some time."""
@@ -111,14 +119,15 @@ class RsiController:
 
     def _send(self) -> None:
         if self._is_attached and not self._is_answered and not self.is_stopped:
-            self.late, self._n_silent = self.late + 1, self._n_silent + 1
+            self.count_late()
+            self._n_silent += 1
             if self._n_silent > rsi.TIMEOUT_CYCLES:
                 self._end("timeout")
         self._ipoc, self._is_answered = self._ipoc + self.cycle_ms, False
         if not self.is_stopped:
             self._transmit(
                 "request",
-                rsi.telegram(rsi.Telegram(self._ipoc, self.axes, self.late, self.axes - self._base)),
+                rsi.telegram(rsi.Telegram(self._ipoc, self.axes, self.late, self._corrected - self._base)),
                 self._deliver,
             )
 
@@ -141,14 +150,17 @@ class RsiController:
             return
         self._is_answered, self._is_attached, self._n_silent = True, True, 0
         axes = self._base + corrections
-        if (axes != self.axes).any():
+        if (axes != self._corrected).any():
             self.driven.append(axes)
-        self.axes = axes
+        self._corrected = axes
+        if not self.is_blocked:
+            self.axes = axes
 
     def _end(self, cause: str) -> None:
         if self._is_attached:
             self.ended[cause] += 1
         self._base, self._is_attached, self.late, self._n_silent = self.axes.copy(), False, 0, 0
+        self._corrected = self._base
 
     def _transmit(self, direction: str, data: bytes, arrive: Callable[[bytes], None]) -> None:
         if self._injector is None:

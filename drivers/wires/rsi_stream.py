@@ -4,10 +4,13 @@ It holds the interpolator (`drivers.simulated_controller`): the path of a move i
 time passes with the telegrams, and a position of the arm is never skipped. Telegrams that wait while a newer one has
 arrived would be answered late, and are left out. After one of them, or an answer that the controller counts as late,
 the arm has stood still for a cycle. The last accepted correction is then repeated until the controller accepts it; the
-path goes on from there, from rest to full speed within `RAMP` seconds. Once the controller is silent for too long, has
-started RSI again, or must have ended it, nothing is answered any more: corrections count from the axes at the beginning
-of RSI. For the same reason a session that began with another client, whose telegrams count late answers, is not
-answered until the controller has ended it.
+path goes on from there, from rest to full speed within `RAMP` seconds.
+
+Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered any more:
+corrections count from the axes at the beginning of RSI. It has started RSI again if its clock or its count of late
+answers begins again, or if its clock has jumped, the missed answers are not counted, and the corrections that it
+reports are not those of before. For the same reason a session that began with another client, whose telegrams count
+late answers, is not answered until the controller has ended it.
 
 Only the sender of the first telegram is answered. An arm that begins outside its limits is not driven: its corrections
 stay as they are, and the answer to the client names the axis.
@@ -50,6 +53,9 @@ _LAST_ANSWERS = 50  # with the end of RSI
 _MAX_WAIT = 0.05
 _LONGEST_CYCLE_MS = 12
 _ROUNDING = 1  # of reported axes at a limit [1e-4 deg]
+_LAG = 2  # cycles by which the controller may count a missed answer later
+_STEP = 1e-6  # rad; a new reference begins where the last one is
+_AGAIN = f"start {rsi.NAME} at the controller again, then connect again"
 
 
 class _TelegramClock:
@@ -98,8 +104,22 @@ class CorrectedArm:
         is_near = bool((np.abs(self.actual - reference.end) < _NEAR).all())
         return self.accepted - begin >= reference.duration - TICK and is_near
 
+    def explains(self, applied: Floats, actual: Floats) -> bool:
+        """Return whether reported corrections and axes (6,) [rad] are those of the last answer or the one before it."""
+        off = min(np.abs(applied - self._correction_at(moment)).max() for moment in (self.sent, self.accepted))
+        return bool(max(off, np.abs(actual - applied - self.base).max()) < _NEAR)
+
     def follow(self, reference: Reference) -> None:
-        """Take a new reference; earlier ones are needed as long as their end is not accepted."""
+        """Take a new reference; earlier ones are needed as long as their end is not accepted.
+
+        A reset begins a reference at an arm that did not follow the last one. Its correction would be a step: the
+        session fails instead.
+        """
+        begin, last = self._references[-1]
+        step = np.abs(reference.sample(np.zeros(1))[0][0] - last.sample(np.array([self._clock.time - begin]))[0][0])
+        if step.max() > _STEP:
+            self.failure = f"the arm is up to {math.degrees(step.max()):.3f} deg off its set-point: {_AGAIN}"
+            return
         self._references = [*self._references[self._active(self.accepted) :], (self._clock.time, reference)]
 
     def advance(self, seconds: float) -> None:
@@ -108,8 +128,11 @@ class CorrectedArm:
     @property
     def correction(self) -> Floats:
         """(6,) correction of the last answer [rad]."""
-        begin, reference = self._references[self._active(self.sent)]
-        return np.asarray(reference.sample(np.array([self.sent - begin]))[0][0] - self.base)
+        return self._correction_at(self.sent)
+
+    def _correction_at(self, moment: float) -> Floats:
+        begin, reference = self._references[self._active(moment)]
+        return np.asarray(reference.sample(np.array([moment - begin]))[0][0] - self.base)
 
     def _active(self, moment: float) -> int:
         return max(bisect_right(self._references, moment, key=itemgetter(0)) - 1, 0)
@@ -181,20 +204,26 @@ class Stream:
         assert self._arm is not None
         assert self._controller is not None
         passed = telegram.ipoc - self._last
-        if passed < 0 or (passed == 0 and self._heard):
+        if -rsi.TIMEOUT_CYCLES * self._cycle_ms < passed < 0 or (passed == 0 and self._heard):
             return  # an old telegram that was delayed
-        self._cycle_ms = min(self._cycle_ms, passed or self._cycle_ms)
+        self._cycle_ms = min(self._cycle_ms, passed) if passed > 0 else self._cycle_ms
         missed = max(passed // self._cycle_ms - 1, 0)
         if missed > 0:
             self._late += missed
             if missed >= rsi.TIMEOUT_CYCLES:
                 self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
-        if telegram.late < self._counted:
+        counted = telegram.late - self._counted
+        is_uncounted = counted < missed - _LAG
+        if (
+            passed < 0
+            or counted < 0
+            or (is_uncounted and not self._arm.explains(np.radians(telegram.applied_deg), axes))
+        ):
             self._fail("the controller has started RSI again")
         if self._arm.failure:  # corrections of an ended session would be wrong in a new one
             self._last, self._arm.actual = telegram.ipoc, axes
             return
-        is_accepted = telegram.late - self._counted <= missed  # the answer to the last telegram
+        is_accepted = counted <= missed  # the answer to the last telegram
         if missed > 0 or not is_accepted:
             self._rate = 0.0
         self._counted = telegram.late
@@ -245,7 +274,7 @@ class Stream:
 
     def _fail(self, cause: str) -> None:
         if self._arm is not None and self._controller is not None and not self._arm.failure:
-            self._arm.failure = f"{cause}: start {rsi.NAME} at the controller again, then connect again"
+            self._arm.failure = f"{cause}: {_AGAIN}"
             self._controller.time_to_wait()
         self._ending = 0
 

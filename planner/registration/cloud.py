@@ -130,7 +130,10 @@ def estimate_normals(points: Floats, sensor_positions: Floats) -> Floats:
     if len(points) == 0:
         return np.empty((0, 3))
     sight = np.broadcast_to(sensor_positions, points.shape) - points
-    sight /= np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-12)
+    length = np.linalg.norm(sight, axis=1, keepdims=True)
+    sight = np.where(
+        length > 1e-12, sight / np.maximum(length, 1e-12), [0.0, 0.0, 1.0]
+    )  # also for a point at the sensor
     toward: NDArray[np.float32] = sight.astype(np.float32)
     if len(points) < 3:
         return sight

@@ -267,7 +267,7 @@ def test_a_growing_file_is_read_when_its_size_is_constant(run: Path, tmp_path: P
     ("options", "words"),
     [
         ({"acquire": "files:/nowhere"}, "is not a folder"),
-        ({"acquire": "laser"}, "installed are: command, files, simulated"),
+        ({"acquire": "laser"}, "installed are: command, files, genicam, simulated"),
         ({"acquire": "command:"}, "names no command"),
         ({"acquire": "command:true"}, "never guessed"),
         ({"acquire": "simulated:fast"}, "takes no argument"),

@@ -20,6 +20,7 @@ from tests.support.arms import KR16
         (("kvp", "--time-scale", "2"), "cell emulate kvp has no --time-scale", 2),
         (("rsi", "--log", "x"), "cell emulate rsi has no --log", 2),
         (("rsi", "--cycle-ms", "5"), "it must be 4 or 12", 2),
+        (("rsi", "--faults", "drop=0.1,estop@3"), "cell emulate rsi has no fault estop; valid are: drop, delay", 2),
         (("modbus", "--link", "x"), "--link is for pseudo-terminals", 2),
         (("modbus", "--faults", "dorp=0.1"), "there is no fault 'dorp'; did you mean 'drop'", 2),
         (("modbus", "--faults", "drop=2"), "a number from 0 to 1", 2),

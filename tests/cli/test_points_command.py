@@ -1,9 +1,11 @@
 """`cell points`: points and surface of an execution in the formats of other programs."""
 
+import contextlib
 import json
 from pathlib import Path
 
 import numpy as np
+import pye57
 import pytest
 import trimesh
 
@@ -26,6 +28,20 @@ def test_points_of_an_execution(kind: str, executed: Path, tmp_path: Path) -> No
     if kind in (".e57", ".ptx"):
         for scan, found in zip(scans, scan_files.read(out), strict=True):
             np.testing.assert_allclose(found.T, scan.T_reported, atol=1e-9, rtol=0.0)
+
+
+def test_the_grid_of_a_scan_is_kept_in_e57(executed: Path, tmp_path: Path) -> None:
+    """Row and column of each point are those of its ray; rays without a point leave gaps."""
+    out = tmp_path / "points.e57"
+    api.points(executed, out)
+    scans = read_execution(open_run(executed), "latest").scans
+    with contextlib.closing(pye57.E57(str(out))) as file:
+        for number, scan in enumerate(scans):
+            found = file.read_scan_raw(number)
+            rows, columns = scan.stored["grid_shape"]
+            assert (found["rowIndex"].astype(int) * columns + found["columnIndex"] == scan.stored["pixel"]).all()
+            assert found["rowIndex"].max() < rows
+            assert len(scan.points) < rows * columns
 
 
 def test_deviations_as_csv(executed: Path, tmp_path: Path) -> None:

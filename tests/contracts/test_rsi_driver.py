@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from drivers.clock import RealTimeClock
-from drivers.contract import Mode
+from drivers.contract import Fault, Mode
+from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.rsi import RsiController
 from drivers.errors import DriverError, DriverUrlError, FaultError, LinkError, LinkLostError, StoppedError
 from drivers.registry import Context, DriverUrl
@@ -47,6 +48,7 @@ class Bench:
 
     controller: RsiController
     notes: list[str] = field(default_factory=list)
+    start: np.ndarray = field(default_factory=lambda: HOME[None])
 
     def driver(self) -> RsiDriver:
         """Return a driver with a long answer time: the machine may be busy."""
@@ -67,7 +69,7 @@ class Bench:
 
     def deviation_deg(self, points: np.ndarray) -> float:
         """Return the largest sum of axis distances of an executed position from a path of counts."""
-        path = np.concatenate([HOME[None], points]) / PER_DEGREE
+        path = np.concatenate([self.start, points]) / PER_DEGREE
         a, along = path[:-1], np.diff(path, axis=0)
         ahead = np.array(self.controller.driven)[:, None] - a
         s = np.clip((ahead * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
@@ -82,9 +84,9 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 @contextlib.contextmanager
-def serve(q: np.ndarray, cycle_ms: int = 12) -> Iterator[Bench]:
+def serve(q: np.ndarray, cycle_ms: int = 12, injector: Injector | None = None) -> Iterator[Bench]:
     """Serve a controller at (6,) axes [rad] in a thread."""
-    controller = RsiController(q, RealTimeClock(), cycle_ms=cycle_ms)
+    controller = RsiController(q, RealTimeClock(), cycle_ms=cycle_ms, injector=injector)
     ended = threading.Event()
     thread = threading.Thread(target=controller.serve, args=(ended.is_set,), daemon=True)
     thread.start()
@@ -275,6 +277,128 @@ def test_a_silent_client_is_a_fault() -> None:
         assert "FaultError" in message
         assert "the heartbeat of the client was lost" in message
         assert bench.deviation_deg(FAR) < 1e-5
+
+
+@pytest.mark.parametrize("cycles", [10, 60])
+def test_a_restart_without_late_answers_is_found(bench: Bench, cycles: int) -> None:
+    """The clock has jumped, and the controller has not counted the missed answers: it is another session."""
+    cycle_s = bench.controller.cycle_ms / 1000.0
+    with bench.driver() as driver:
+
+        def restart() -> None:
+            bench.controller.emergency_stop()
+            threading.Event().wait(cycles * cycle_s)
+            bench.controller.driven.clear()
+            bench.controller.emergency_stop(False)
+
+        thread = bench.when_moving(restart)
+        with pytest.raises(FaultError, match=r"the controller has started RSI again: start sc_rsi"):
+            driver.move(FAR, 0.3)
+        thread.join(5.0)
+        stopped = bench.controller.axes.copy()
+        assert bench.controller.driven == []
+        with pytest.raises(DriverError, match="start sc_rsi"):
+            driver.reset()
+    assert bench.controller.axes.tolist() == stopped.tolist()
+    with bench.driver() as driver:
+        assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+
+
+def test_a_restart_after_the_arm_was_moved_by_hand_is_found(bench: Bench) -> None:
+    """The corrections are zero before and after: the axes tell that the session is another one."""
+    with bench.driver() as driver:
+        assert driver.state().at_rest
+        bench.controller.emergency_stop()
+        threading.Event().wait(20 * bench.controller.cycle_ms / 1000.0)
+        bench.controller.axes = bench.controller.axes + 0.5
+        bench.controller.emergency_stop(False)
+        threading.Event().wait(0.1)
+        with pytest.raises(DriverError, match="the controller has started RSI again"):
+            driver.move(NEAR, 0.3)
+    assert bench.controller.driven == []
+
+
+def test_missed_answers_that_are_counted_later_are_no_restart(bench: Bench) -> None:
+    """A controller may count them when it is answered again: its corrections are still the same."""
+    with bench.driver() as driver:
+        process = driver._link._process  # type: ignore[attr-defined]
+
+        def freeze() -> None:
+            held, count = bench.controller.late, bench.controller.count_late
+            bench.controller.count_late = lambda: None
+            os.kill(process.pid, signal.SIGSTOP)
+            threading.Event().wait(0.1)
+            os.kill(process.pid, signal.SIGCONT)
+            threading.Event().wait(0.05)
+            bench.controller.count_late = count
+            bench.controller.late = held + 8
+
+        thread = bench.when_moving(freeze)
+        assert driver.move(FAR, 0.3).axes.tolist() == FAR[0].tolist()
+        thread.join(5.0)
+    assert bench.deviation_deg(FAR) < 1e-5
+
+
+def test_a_clock_that_begins_again_is_a_restart() -> None:
+    """A session whose clock begins below the last one is not taken for delayed telegrams."""
+    with serve(HOME_Q.copy(), 4) as bench:
+        bench.controller._ipoc = 100_000
+
+        def restart() -> None:
+            bench.controller.emergency_stop()
+            bench.controller._ipoc = 0
+            bench.controller.emergency_stop(False)
+
+        with bench.driver() as driver:
+            thread = bench.when_moving(restart)
+            began = time.monotonic()
+            with pytest.raises(FaultError, match="the controller has started RSI again"):
+                driver.move(FAR, 0.3)
+            thread.join(5.0)
+            assert time.monotonic() - began < 2.0  # before the silence of 3 s
+
+
+def test_an_arm_that_does_not_follow_makes_no_step(bench: Bench) -> None:
+    """After the fault a reset would begin at the arm, away from its corrections: the session has to end."""
+    with bench.driver() as driver:
+        thread = bench.when_moving(lambda: setattr(bench.controller, "is_blocked", True))
+        with pytest.raises(DriverError):  # the fault, or on a busy machine the time that the client waits
+            driver.move(FAR, 1.0)
+        thread.join(5.0)
+        until = time.monotonic() + 20.0
+        while driver.state().fault_code != Fault.NOT_SETTLED and time.monotonic() < until:
+            threading.Event().wait(0.05)
+        assert driver.state().fault_code == Fault.NOT_SETTLED
+        with contextlib.suppress(DriverError):  # a client whose time is over stops first
+            driver.stop()
+        with pytest.raises(DriverError, match=r"up to 3\d\.\d+ deg off its set-point: start sc_rsi .*did not clear it"):
+            driver.reset()
+        corrected = np.array([np.degrees(HOME_Q), *bench.controller.driven])
+        full_deg = np.degrees(KR16.velocity[0]) * bench.controller.cycle_ms / 1000.0
+        assert np.abs(np.diff(corrected, axis=0)).max() <= full_deg * (1.0 + 1e-6)
+        assert corrected[-1, 0] == pytest.approx(40.0, abs=1e-6)
+    bench.controller.is_blocked = False
+    bench.controller.driven.clear()
+    with bench.driver() as driver:
+        at = driver.state().axes / PER_DEGREE
+        assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+    assert np.abs(np.diff([at, *bench.controller.driven], axis=0)).max() <= full_deg * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("text", ["drop=0.05", "delay=0.03:0.03", "duplicate=0.2", "reorder=0.05", "all"])
+def test_faults_of_the_wire(text: str) -> None:
+    """Telegrams of both directions are lost, late, doubled or exchanged: the arm stays on its path and arrives."""
+    faults = "drop=0.01,delay=0.01:0.03,duplicate=0.05,reorder=0.01" if text == "all" else text
+    injector = Injector(parse_faults(faults), np.random.default_rng(3))
+    with serve(HOME_Q.copy(), 12, injector) as bench, bench.driver() as driver:  # 4 ms is short on a busy machine
+        for goal in (NEAR, HOME[None], NEAR[::-1], HOME[None]):
+            assert driver.move(goal, 0.5).axes.tolist() == goal[-1].tolist()
+            assert bench.deviation_deg(goal) < 1e-5
+            bench.start = goal[-1:]
+            bench.controller.driven.clear()
+        _, counted = driver._link.late_telegrams()  # type: ignore[attr-defined]
+        assert counted > 0 or text.startswith("duplicate")  # a copy is not late
+    assert bench.controller.ended["timeout"] == 0
 
 
 def test_telegrams_of_other_senders_are_ignored(bench: Bench) -> None:

@@ -1,4 +1,8 @@
-"""The exported RAPID, URScript and LS programs in independent interpreters: motions, signals, halts."""
+"""The exported RAPID, URScript and LS programs in independent interpreters: motions, signals, halts.
+
+The slow test runs the programs of many plans in these languages and in KRL, whose own tests are in
+`test_krl_program.py`.
+"""
 
 import itertools
 import re
@@ -15,7 +19,10 @@ from cell.errors import UsageError
 from cell.export import fanuc, krl, rapid, urscript
 from cell.export.options import ExportOptions
 from cell.export.program import Program, ProgramSettings, language_of, load_program
+from cell.robot.arm import kr16_kinematics
 from cell.runs.run import open_finished
+from tests.support.fixture_types import RunCommand
+from tests.support.krl_language import run_krl, straight_line
 from tests.support.robot_languages import run_ls, run_rapid, run_urscript
 from tests.support.robot_programs import HOME, Robot, prompt_scanner, sweeping_program
 
@@ -56,6 +63,7 @@ LANGUAGES = {
     "urscript": Language(urscript.files, run_urscript, TRIGGER, GATE, DONE, 1e-9),
     "ls": Language(fanuc.files, run_ls, TRIGGER, GATE, DONE, 5.0001e-4),
 }
+KRL = Language(krl.files, run_krl, TRIGGER, GATE, DONE, 1e-9)
 
 
 @pytest.fixture(params=LANGUAGES)
@@ -224,23 +232,100 @@ def test_axis_3_of_fanuc_counts_against_the_horizontal(program: Program) -> None
         LANGUAGES["ls"].files(replace(program, cos_axes_2_3=0.5))
 
 
+def rapid_faults(files: dict[str, bytes]) -> list[object]:
+    """Return the complaints of the package rapidchecker about the only `.mod`."""
+    from rapidchecker.check import check_format
+
+    (content,) = files.values()
+    return list(check_format(content.decode().replace("\r\n", "\n")))
+
+
+def krl_faults(files: dict[str, bytes], folder: Path) -> list[str]:
+    """Return the counts of complaints of the package krllint that are not 0."""
+    folder.mkdir(exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    linted = subprocess.run([sys.executable, "-m", "krllint", str(folder)], capture_output=True, text=True, check=False)
+    counts = re.findall(r"^(\d+) (?:violated|possible|found|fatal) \w+", linted.stdout, re.MULTILINE)
+    assert len(counts) == 5, linted.stdout
+    return [count for count in counts if count != "0"]
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("sweeps", [False, True])
 def test_programs_pass_independent_checkers(program: Program, tmp_path: Path, sweeps: bool) -> None:
     """The packages rapidchecker (RAPID) and krllint (KRL) have no complaint."""
-    from rapidchecker.check import check_format
-
     written = sweeping_program()[0] if sweeps else program
-    (content,) = LANGUAGES["rapid"].files(written).values()
-    assert check_format(content.decode().replace("\r\n", "\n")) == []
-    for name, content in krl.files("PART", [written], [ProgramSettings(20, 30, ExportOptions())]).items():
-        (tmp_path / name).write_bytes(content)
-    linted = subprocess.run(
-        [sys.executable, "-m", "krllint", str(tmp_path)], capture_output=True, text=True, check=False
-    )
-    assert re.findall(r"^\d+ (?:violated|possible|found|fatal) \w+", linted.stdout, re.MULTILINE) == [
-        "0 violated conventions", "0 possible refactorings", "0 found warnings", "0 found errors", "0 fatal errors",
-    ]  # fmt: skip
+    assert rapid_faults(LANGUAGES["rapid"].files(written)) == []
+    assert krl_faults(KRL.files(written), tmp_path) == []
+
+
+def _end_pose(goal: dict[str, float]) -> np.ndarray:
+    """Return the position [mm] and the rotation (3, 3) of an E6POS."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_euler("ZYX", [goal[angle] for angle in "ABC"], degrees=True).as_matrix()
+    return np.concatenate([[goal[axis] for axis in "XYZ"], turn.ravel()])
+
+
+def require_planned_targets(language: Language, program: Program) -> None:
+    """Run a program and compare every target with the plan.
+
+    Joint targets are equal to the last written digit. The end of a line is a pose in KRL, whose last digits are
+    1e-3 mm and 1e-4 deg; its axes may differ by `AT_STOP_DEG`, at which the program would halt.
+    """
+    kinematics = kr16_kinematics()
+    robot = Robot(language.home, prompt_scanner(language.trigger, language.done), line=straight_line(kinematics))
+    language.run(language.files(program), robot)
+    passed = {row for sweep in program.sweeps for row in range(sweep.begin + 1, sweep.end)}
+    rows = [row for row in range(len(program.q)) if row not in passed]  # a line is one motion
+    assert len(robot.moves) == len(rows)
+    planned = language.written(program.q)
+    poses = kinematics.forward(program.q) @ program.T_flange_tcp
+    ends = {sweep.end for sweep in program.sweeps}
+    for row, (kind, goal) in zip(rows, robot.moves, strict=True):
+        assert (kind in ("LIN", "MoveL", "movel", "L")) == (row in ends)
+        if kind == "LIN":
+            expected = np.concatenate([1000 * poses[row, :3, 3], poses[row, :3, :3].ravel()])
+            np.testing.assert_allclose(_end_pose(goal)[:3], expected[:3], atol=0.5001e-3)
+            np.testing.assert_allclose(_end_pose(goal)[3:], expected[3:], atol=3 * np.radians(0.5e-4))
+        else:
+            axes = [goal[f"A{axis}"] for axis in range(1, 7)]
+            np.testing.assert_allclose(axes, planned[row], atol=language.tolerance, rtol=0)
+    np.testing.assert_allclose(robot.axes, language.home, atol=language.tolerance)
+    assert robot.variables["SC_VIEW" if language is KRL else "view"] == program.n_views
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("number", range(20))
+def test_programs_of_seeded_plans(number: int, part_file: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+    """All four languages drive the plan at its via points, and the checkers have no complaint."""
+    x, y = np.random.default_rng(number).uniform([900, -500], [1200, 500]).round()
+    run_cell(
+        "plan", part_file, "--units", "mm", "--place", f"{x},{y},100", "--faces", 60, "--samples", 2, "--standoff", 250,
+        "--candidates", "optimal-scanning-zone", "--coverage", 0.9, "--seed", number, "--out", "run",
+        cwd=tmp_path, code=0,
+    )  # fmt: skip
+    program = load_program(tmp_path / "run", "PART", ExportOptions(), None)
+    assert (program.q == np.load(tmp_path / "run" / "motion.npz")["via_q"]).all()
+    for language in (*LANGUAGES.values(), KRL):
+        require_planned_targets(language, program)
+    assert rapid_faults(LANGUAGES["rapid"].files(program)) == []
+    assert krl_faults(KRL.files(program), tmp_path / "krl") == []
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("seed", range(5))
+def test_programs_of_seeded_sweeps(seed: int, tmp_path: Path) -> None:
+    """The same for programs with two sweeps each."""
+    program, (motion, *_) = sweeping_program(seed=seed)
+    assert (program.q == motion.via_q).all()
+    for language in (*LANGUAGES.values(), KRL):
+        require_planned_targets(language, program)
+    assert rapid_faults(LANGUAGES["rapid"].files(program)) == []
+    assert krl_faults(KRL.files(program), tmp_path) == []
 
 
 @pytest.mark.parametrize(

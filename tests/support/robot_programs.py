@@ -49,8 +49,13 @@ def prompt_scanner(output: int = 1, done: int = 1, delay: float = 0.3) -> Callab
     return scanner
 
 
-def sweeping_program(reverse: bool = False, turn: float = 0.0, planned_speed: float = 1.0) -> tuple[Program, Any]:
-    """Return a program of two sweeps, the second turned by `turn` [rad], with a view between them, and its motion."""
+def sweeping_program(
+    reverse: bool = False, turn: float = 0.0, planned_speed: float = 1.0, seed: int | None = None
+) -> tuple[Program, Any]:
+    """Return a program of two sweeps, the second turned by `turn` [rad], with a view between them, and its motion.
+
+    A seed draws the place and the lengths of the sweeps.
+    """
     from cell.export.program import ProgramInfo, program_of_motion
     from cell.robot.arm import kr16_kinematics
     from planner.path.sweeps import TimedSweep, find_sweeps
@@ -59,10 +64,15 @@ def sweeping_program(reverse: bool = False, turn: float = 0.0, planned_speed: fl
 
     kinematics, mount = kr16_kinematics(), np.eye(4)
     mount[:3, 3] = (0.02, -0.03, 0.12)
-    T = kinematics.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ mount
+    middle, lengths = np.radians([12.0, -75, 110, 35, -60, 140]), np.array([0.15, 0.06])
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        middle += np.radians(rng.uniform(-8, 8, 6))
+        lengths *= rng.uniform(0.5, 1.2, 2)
+    T = kinematics.forward(middle[None])[0] @ mount
     columns = (
-        straight_sweep_poses(0.15, 8),
-        turned_sweep_poses(turn, 5) if turn else straight_sweep_poses(0.06, 5, (0.2, 1.0, 0.1)),
+        straight_sweep_poses(float(lengths[0]), 8),
+        turned_sweep_poses(turn, 5) if turn else straight_sweep_poses(float(lengths[1]), 5, (0.2, 1.0, 0.1)),
     )
     paths = [find_sweeps(T @ column, mount, kinematics, kinematics.limits).paths[int(reverse)] for column in columns]
     home, between = np.radians([HOME]), paths[0].q[-1:] + np.radians(1.5)

@@ -43,6 +43,13 @@ def test_the_two_faces_of_a_thin_sheet_keep_their_own_normals() -> None:
     np.testing.assert_allclose(normals[len(face) :, 2], -1, atol=1e-6)
 
 
+def test_a_point_at_the_sensor_has_a_unit_normal() -> None:
+    """Zeros for rays without an echo are points at the sensor; there is no line of sight to them."""
+    points = np.vstack([np.random.default_rng(1).uniform(0.1, 0.2, (40, 3)), np.zeros((1, 3))])
+    normals = estimate_normals(points, np.zeros(3))
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
+
+
 def test_spacing_is_of_the_scan_not_of_the_overlap() -> None:
     """Two grids of 1 mm, shifted by 0.1 mm, have a spacing of 1 mm as two scans and of 0.1 mm as one cloud."""
     x, y = np.meshgrid(np.arange(30) * 1e-3, np.arange(30) * 1e-3)

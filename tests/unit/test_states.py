@@ -1,0 +1,98 @@
+"""`cell scan --states`: states as JSON lines."""
+
+import json
+import shutil
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cell.errors import FileError, UsageError
+from cell.runs.run import open_finished
+from cell.scan.states import StateLog, record_states
+from drivers.clock import RealTimeClock, SimulatedClock
+from drivers.contract import Mode, RobotState
+from drivers.registry import Context, open_driver
+from drivers.setpoints import PER_DEGREE, from_rad
+from tests.support.arms import HOME, KR16
+from tests.support.fixture_types import RunCommand
+
+
+def rows_of(path: Path) -> list[dict]:
+    """Return the lines of a file."""
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_states_of_an_execution(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+    """Every line is on the planned path in its order, from home over all views to home; the file is appended."""
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
+    options = ("--driver", "sim://", "--states", "states.jsonl", "--resolution", 3)
+    run_cell("scan", run, *options, cwd=tmp_path, code=0)
+    rows = rows_of(tmp_path / "states.jsonl")
+    plan = open_finished(run)
+    q = np.array([row["position"] for row in rows])
+    assert {tuple(row["name"]) for row in rows} == {tuple(plan.joint_names())}
+    stamps = [row["header"]["stamp"]["sec"] + 1e-9 * row["header"]["stamp"]["nanosec"] for row in rows]
+    assert (np.diff(stamps) >= 0.0).all()
+    assert stamps[-1] == pytest.approx(plan.motion.duration, rel=0.02)
+    via, reached = plan.motion.via_q, 0
+    for row, place in zip(rows, q, strict=True):
+        if row["at_rest"] and reached + 1 < len(via) and np.abs(place - via[reached + 1 :]).max(axis=1).min() < 1e-6:
+            reached += 1 + int(np.abs(place - via[reached + 1 :]).max(axis=1).argmin())
+    assert reached == len(via) - 1
+    assert {row["mode"] for row in rows} == {"idle", "moving", "in_position"}
+    assert {row["fault_code"] for row in rows} == {0}
+    assert "states" not in json.loads((run / "executions" / "0001" / "manifest.json").read_text())["options"]
+    run_cell("scan", run, *options, cwd=tmp_path, code=0)
+    assert len(rows_of(tmp_path / "states.jsonl")) == 2 * len(rows)
+    refused = run_cell("scan", run, "--states", "no/states.jsonl", cwd=tmp_path, code=6)
+    assert "no/states.jsonl cannot be written" in refused.stderr
+
+
+def test_a_line_has_units_and_names(tmp_path: Path) -> None:
+    """Radians, UTC, mode and fault in words."""
+    axes = from_rad(np.radians([10.0, -90.0, 90.0, 0.0, 90.0, -45.5]))
+    state = RobotState(Mode.FAULT, axes, True, fault_code=4001, fault_message="the watchdog", path=2500, override=5000)
+    log = StateLog(tmp_path / "states.jsonl", [f"joint_{k}" for k in range(6)], RealTimeClock())
+    log.record(state)
+    (row,) = rows_of(tmp_path / "states.jsonl")
+    stamp = row.pop("header")["stamp"]
+    assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(time.time(), abs=5.0)
+    np.testing.assert_allclose(row.pop("position"), np.radians([10.0, -90.0, 90.0, 0.0, 90.0, -45.5]), atol=1e-9)
+    assert row == {
+        "name": [f"joint_{k}" for k in range(6)], "mode": "fault", "at_rest": True, "fault_code": 4001,
+        "fault_message": "the watchdog", "path": 0.25, "override": 0.5,
+    }  # fmt: skip
+
+
+def test_a_file_that_fails_stops_the_arm(tmp_path: Path) -> None:
+    """The move ends with the cause, the arm is at rest on its path, and the driver can be closed."""
+    clock, folder = SimulatedClock(), tmp_path / "states"
+    folder.mkdir()
+    driver = open_driver("sim://", Context(KR16, clock))
+    record_states(driver, clock, folder / "states.jsonl", ["A1"])
+    goal = from_rad(HOME) + PER_DEGREE * np.array([40, 0, 0, 0, 0, 0], dtype=np.int32)
+    with driver:
+        record = driver.on_state  # type: ignore[attr-defined]
+        seen: list[RobotState] = []
+
+        def remove(state: RobotState) -> None:
+            seen.append(state)
+            if len(seen) == 8:
+                shutil.rmtree(folder)
+            record(state)
+
+        driver.on_state = remove  # type: ignore[attr-defined]
+        with pytest.raises(FileError, match=r"states\.jsonl cannot be written"):
+            driver.move(goal[None], 0.3)
+        while not (state := driver.state()).at_rest:
+            clock.wait(0.01)
+        assert from_rad(HOME)[0] < state.axes[0] < goal[0]
+
+
+def test_another_driver_is_refused(tmp_path: Path) -> None:
+    """Only the project's client knows each state."""
+    with pytest.raises(UsageError, match="SimpleNamespace is none"):
+        record_states(SimpleNamespace(), SimulatedClock(), tmp_path / "states.jsonl", [])  # type: ignore[arg-type]
