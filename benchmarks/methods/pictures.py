@@ -1,7 +1,8 @@
 """`python -m benchmarks pictures`: draw the pictures of docs/images again, each with its commit.
 
-Without names it draws the pictures that take seconds: the default plan, the tightest moment, the built-in parts. The
-others are charts of benchmarks and studies, which take minutes to an hour each; they are drawn if they are named.
+Without names it draws the pictures that take less than a minute each: the default plan, the tightest moment, the
+built-in parts, the examples. The others are charts of benchmarks and studies, which take minutes to an hour each; they
+are drawn if they are named.
 """
 
 import os
@@ -25,6 +26,7 @@ from cell.errors import CellError, UsageError
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
+EXAMPLES = ("plan_part", "inspect_step", "rotary_table", "explore_part", "own_scanner")
 
 Maker = Callable[[Path], None]
 """Leaves its pictures, called as in docs/images, in a folder."""
@@ -32,8 +34,13 @@ Maker = Callable[[Path], None]
 
 def _python(folder: Path, *words: object) -> None:
     """Run a command of this clone in a folder."""
+    _run(folder, "-m", *words)
+
+
+def _run(folder: Path, *words: object) -> None:
+    """Run Python in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", *map(str, words)]
+    command = [sys.executable, *map(str, words)]
     done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
     if done.returncode:
         raise CellError(f"{' '.join(map(str, words))} ended with code {done.returncode}")
@@ -71,6 +78,10 @@ def _tightest(folder: Path) -> None:
     _python(folder, "cell", "replay", "bucket", "--tightest", "--picture", "tightest.png")
 
 
+def _example(name: str) -> Maker:
+    return lambda folder: _run(folder, ROOT / "docs" / "examples" / f"{name}.py")
+
+
 def _benchmark(name: str) -> Maker:
     return lambda folder: _python(folder, "benchmarks", name, "--charts", ".")
 
@@ -89,6 +100,7 @@ QUICK: Mapping[tuple[str, ...], Maker] = {
     ("cell.png", "views.png", "why.png", "deviation.png", "page.png"): _default_plan,
     ("tightest.png",): _tightest,
     ("built_in_parts.png",): lambda folder: stand_in_picture.draw(folder / "built_in_parts.png"),
+    **{(f"example_{name}.png",): _example(name) for name in EXAMPLES},
 }
 _TABLES = [f"table{n}" for n in range(1, 6)]
 LONG: Mapping[tuple[str, ...], Maker] = {

@@ -80,7 +80,9 @@ class PlotProcess(PlotQueue):
 @contextmanager
 def plot_process() -> Iterator[PlotQueue]:
     """Start a process that draws; it ends with the block, except for plots that are begun."""
-    command = [sys.executable, "-P", "-c", "from cell.report.plots import serve; serve()"]
+    # Plug-ins may be on a path that only this process has, such as the folder of the script that called `plan`.
+    code = f"import sys; sys.path[:] = {sys.path!r}; from cell.report.plots import serve; serve()"
+    command = [sys.executable, "-P", "-c", code]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe) as process:
         try:

@@ -33,3 +33,13 @@ def test_a_failed_picture_is_reported(tmp_path: Path) -> None:
         with pytest.raises(RuntimeError, match=r"(?s)plots were not drawn: .*missing"):
             drawing.finish()
     assert (tmp_path / "cover.png").exists()
+
+
+def test_the_process_has_the_module_path_of_its_parent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module on a path that only the parent has is found, as plug-ins in the folder of a script are."""
+    (tmp_path / "matplotlib.py").write_text("raise ImportError('the module of the parent')\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with plot_process() as drawing:
+        drawing.send("cover_curve", tmp_path / "cover.png", **COVER)
+        with pytest.raises(RuntimeError, match="the module of the parent"):
+            drawing.finish()
