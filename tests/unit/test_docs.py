@@ -1,6 +1,7 @@
 """Documentation agrees with the repository: links, commands, pictures, test command and versions."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -128,3 +129,11 @@ def test_the_version_is_that_of_the_citation(capsys: pytest.CaptureFixture[str])
 
     app(args=["--version"], standalone_mode=False)
     assert capsys.readouterr().out.startswith("scan-cell ")
+
+
+def test_the_modules_of_the_reference_exist() -> None:
+    """`.ci/api_reference` names modules of the packages, `cell.api` among them."""
+    script = (ROOT / ".ci" / "api_reference").read_text(encoding="utf-8")
+    named = re.findall(r" ((?:cell|planner|drivers)(?:\.\w+)+)", script)
+    assert "cell.api" in named
+    assert [name for name in named if find_spec(name) is None] == []
