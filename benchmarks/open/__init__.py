@@ -1,0 +1,1 @@
+"""Open benchmark for model-based view planning: instances, checker, baselines."""
