@@ -28,7 +28,7 @@ from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import find_frustum
 from planner.viewpoints.pose_search import EFFORTS, Place, SearchPoses, search_poses
 
-SECONDS = 4.0  # of the searches that end by time; the planner gets as many seconds' worth of counted effort
+SECONDS = 2.0  # of the searches that end by time; the planner gets as many seconds' worth of counted effort
 N_OWN, N_HELD = 8000, 60_000  # own samples for the selection, and for the requirement
 MARGIN = 4e-4  # share of the surface: error of the samples for the requirement
 DATE = "2026-11-27"
@@ -69,10 +69,8 @@ def _weighting_steps(
     """Remove and exchange columns; return whether the selection is a smaller cover."""
     np.random.seed(seed)  # noqa: NPY002 (compiled code has no other generator)
     for _ in range(steps):
-        if (count > 0).sum() >= required - 1e-9:
+        while (count > 0).sum() >= required - 1e-9:
             _flip(M, chosen, count, _least_needed(M, chosen, count, weight, age, -1))
-            if (count > 0).sum() >= required - 1e-9:
-                return True
         clock[0] += 1
         removed = _least_needed(M, chosen, count, weight, age, clock[0] - 1)
         _flip(M, chosen, count, removed)
@@ -95,6 +93,8 @@ def _weighting_steps(
         for i in open_rows:
             if count[i] == 0:
                 weight[i] += 1
+        if (count > 0).sum() >= required - 1e-9:
+            return True
     return False
 
 

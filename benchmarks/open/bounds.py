@@ -180,7 +180,7 @@ def split(node: Array, distance: float) -> Array:
     a /= np.linalg.norm(a)
     b = np.cross(node[4:7], a)
     children = np.tile(node, (4, 1))
-    # Four balls of radius R / sqrt(2) about the middles of the quarters cover a disc of radius R; 3 % are for curvature.
+    # Balls of radius R / sqrt(2) about the middles of the quarters cover a disc of radius R; the rest is for curvature.
     for k, (s, t) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
         n = node[4:7] + np.tan(node[7] / 2) * (s * a + t * b)
         children[k, 4:7] = n / np.linalg.norm(n)

@@ -13,6 +13,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -157,34 +158,36 @@ class Arm:
         return cls(tuple(joints), tuple(spheres), np.array(limits), np.array(speed))
 
     def frames(self, q: Array) -> list[Array]:
-        """Return the frames (4, 4) of base and of every link after it."""
-        T, found, angle = np.eye(4), [np.eye(4)], iter(q)
+        """Return the frames (n, 4, 4) of base and of every link after it, at joint angles (n, axes)."""
+        found, angles = [np.tile(np.eye(4), (len(q), 1, 1))], iter(q.T)
         for fixed, axis in self.joints:
-            T = T @ fixed
+            T = found[-1] @ fixed
             if axis is not None:
-                K = np.cross(np.eye(3), axis)
-                a = next(angle)
-                turn = np.eye(4)
-                turn[:3, :3] += -np.sin(a) * K + (1 - np.cos(a)) * K @ K
+                K, a = np.cross(np.eye(3), axis), next(angles)[:, None, None]
+                turn = np.zeros((len(q), 4, 4))
+                turn[:, :3, :3] = np.eye(3) + np.sin(a) * K + (1 - np.cos(a)) * (K @ K)
+                turn[:, 3, 3] = 1
                 T = T @ turn
             found.append(T)
         return found
 
-    def clearance(self, q: Array, boxes: Array) -> float:
-        """Return the smallest distance of the spheres from floor, boxes (n, 2, 3: centre, half sides), each other."""
+    def clearance(self, q: Array, boxes: Array) -> Array:
+        """Return (n,) the smallest distance of the spheres from floor, boxes (k, 2, 3: centre, half sides), each other.
+
+        Base and first link do not move towards floor and boxes, and links with at most one other between them may
+        touch.
+        """
         frames = self.frames(q)
         number = np.array([link for link, _, _ in self.spheres])
-        at = np.array([frames[link][:3, :3] @ centre + frames[link][:3, 3] for link, centre, _ in self.spheres])
+        at = np.stack([frames[link][:, :3] @ np.append(centre, 1.0) for link, centre, _ in self.spheres], axis=1)
         radius = np.array([size for _, _, size in self.spheres])
         moving = number > 1
-        outside = np.maximum(np.abs(at[:, None] - boxes[:, 0]) - boxes[:, 1], 0)
-        distances = [
-            (np.linalg.norm(outside, axis=2) - radius[:, None])[moving].min(),
-            (at[:, 2] - radius)[moving].min(),
-        ]
-        apart = np.linalg.norm(at[:, None] - at, axis=2) - radius[:, None] - radius
-        distances.append(apart[np.abs(number[:, None] - number) > 2].min(initial=np.inf))
-        return float(min(distances))
+        outside = np.maximum(np.abs(at[:, moving, None] - boxes[:, 0]) - boxes[:, 1], 0)
+        least = (np.linalg.norm(outside, axis=3) - radius[moving, None]).min(axis=(1, 2))
+        least = np.minimum(least, (at[:, moving, 2] - radius[moving]).min(axis=1))
+        one, other = np.nonzero(number[:, None] - number > 2)
+        apart = np.linalg.norm(at[:, one] - at[:, other], axis=2) - radius[one] - radius[other]
+        return np.asarray(np.minimum(least, apart.min(axis=1, initial=np.inf)))
 
 
 def _tag(element: ElementTree.Element, name: str) -> ElementTree.Element:
@@ -283,7 +286,7 @@ class Instance:
     def pose_of(self, q: Array) -> Array:
         """Return the pose (3, 4) of the sensor in the frame of the part, at joint angles (n,)."""
         T = np.asarray(self.data["T_base_part"])
-        sensor = self.arm.frames(q)[-1][:3]
+        sensor = self.arm.frames(q[None])[-1][0, :3]
         return np.column_stack([T[:, :3].T @ sensor[:, :3], T[:, :3].T @ (sensor[:, 3] - T[:, 3])])
 
     def pose_fault(self, pose: Array) -> str:
@@ -304,7 +307,7 @@ class Instance:
             return f"needs {len(self.arm.limits)} finite joint angles"
         if (q < self.arm.limits[:, 0]).any() or (q > self.arm.limits[:, 1]).any():
             return "exceeds a joint limit"
-        return "" if self.arm.clearance(q, self.keep_out) > 0 else "is in collision"
+        return "" if self.arm.clearance(q[None], self.keep_out)[0] > 0 else "is in collision"
 
     def measured_by(self, poses: Array, points: Array, normals: Array, *, each: bool = False) -> Array:
         """Return (n,) whether any of poses (k, 3, 4) measures each point; with `each` (k, n)."""
@@ -416,7 +419,7 @@ def _judge_tour(entry: dict[str, Any], instance: Instance, _: int) -> dict[str, 
     home = np.asarray(instance.data["home"])
     q = np.concatenate([home[None], instance.arrays["configurations"][nodes], home[None]])
     speed, acceleration_s = instance.arm.speed, instance.data["acceleration_s"]
-    return {"value": sum(move_time(a, b, speed, acceleration_s) for a, b in zip(q[:-1], q[1:], strict=True))}
+    return {"value": sum(move_time(a, b, speed, acceleration_s) for a, b in pairwise(q))}
 
 
 def _judge_budgets(entry: dict[str, Any], instance: Instance, n_fresh: int) -> dict[str, Any]:

@@ -34,6 +34,9 @@ PARTS_OF_A = {
 """Parts of tier A by sensor."""
 LIMITS = {"area": 600, "line": 350, "camera": 500}
 """Number of candidates before growth."""
+PARTS_OF_B = (("mseke", "area"), ("petanque", "area"), ("valve-block", "area"), ("crankshaft", "line"), ("gear", "camera"))
+"""Parts and sensors of tier B."""
+HOME = [0.0, -0.6, 0.9, 0.0, 0.8, 0.0]
 
 
 def make_a(part: str, sensor: str) -> None:
@@ -42,21 +45,35 @@ def make_a(part: str, sensor: str) -> None:
     write(name, {"tier": "A", "part": part, "part_sha256": part_hash(part), "sensor": sensor}, LIMITS[sensor])
 
 
-def write(name: str, data: dict[str, Any], limit: int, **more: Any) -> None:
+def make_b(part: str, sensor: str) -> None:
+    """Write an instance of tier B: the part on a pedestal before the arm, a post beside it."""
+    surface = check.Surface(check.read_stl(HERE / "parts" / f"{part}.stl"))
+    size, height = surface.high - surface.low, 500.0
+    middle = np.array([900.0, 0.0, height + size[2] / 2])
+    shift = middle - (surface.low + surface.high) / 2
+    boxes = [
+        [[middle[0], 0.0, height / 2], [0.35 * size[0], 0.35 * size[1], height / 2]],
+        [[middle[0] + 100.0, -420.0, 500.0], [30.0, 30.0, 500.0]],
+    ]
+    cell = {"arm": "arm", "T_base_part": np.column_stack([np.eye(3), shift]).tolist(), "boxes": boxes, "home": HOME}
+    data = {"tier": "B", "part": part, "part_sha256": part_hash(part), "sensor": sensor}
+    write(f"B-{part}-{sensor}", data | cell, LIMITS[sensor])
+
+
+def write(name: str, data: dict[str, Any], limit: int) -> None:
     """Write an instance of tier A or B: samples, candidates, matrix, reference."""
     data |= {"name": name, "clearance_mm": CLEARANCE_MM, "targets": TARGETS}
     path = HERE / "instances" / f"{name}.json"
     write_json(path, data)
     instance = check.Instance(name)
     bench = Bench(instance)
-    bench.reach = more.pop("reach", None)
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "little")
     points, normals, face = instance.surface.draw(N_SAMPLES, seed)
     points = points.astype(np.float32).astype(np.float64)
     poses = in_millimetres(bench.candidates(seed, limit))
     arrays = {"poses": poses}
-    if "configure" in more:  # tier B: poses follow from the configurations
-        arrays["configurations"] = more["configure"](poses)
+    if bench.kinematics is not None:  # poses follow from the configurations
+        arrays["configurations"] = np.round(bench.configure(poses), 9)
         arrays["poses"] = poses = np.array([instance.pose_of(q) for q in arrays["configurations"]])
     matrix = instance.measured_by(poses, points, normals, each=True).T
     arrays["matrix"] = np.packbits(matrix, axis=1)
@@ -81,12 +98,15 @@ def part_hash(part: str) -> str:
 
 
 def main() -> None:
-    """Write the named instances of tier A, or all."""
+    """Write the named instances of tiers A and B, or all."""
     wanted = sys.argv[1:]
     for sensor, parts in PARTS_OF_A.items():
         for part in parts:
             if not wanted or f"A-{part}-{sensor}" in wanted:
                 make_a(part, sensor)
+    for part, sensor in PARTS_OF_B:
+        if not wanted or f"B-{part}-{sensor}" in wanted:
+            make_b(part, sensor)
 
 
 if __name__ == "__main__":

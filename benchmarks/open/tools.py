@@ -1,7 +1,6 @@
 """Instances in the terms of the planner: scanner, casters, candidates, allowed poses. Lengths in metres here."""
 
 import json
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,9 @@ from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
+from planner.kinematics.fit import ArmKinematics, Chain
 from planner.measurability.visibility import find_measured
+from planner.ports import JointLimits
 from planner.viewpoints import growth
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import aim_viewpoints
@@ -69,7 +70,7 @@ class Bench:
         if len(hidden_by):
             corners = hidden_by.reshape(-1, 3) / 1000
             self.casters.append(EmbreeRayCaster(corners, np.arange(len(corners)).reshape(-1, 3)))
-        self.reach: Callable[[Array], Array] | None = None  # (n, 4, 4) [m] -> (n,); tier B
+        self.kinematics = arm_kinematics(instance.arm) if "arm" in instance.data else None
 
     def samples(self, count: int, seed: int) -> SurfaceSamples:
         """Draw samples of the part."""
@@ -81,9 +82,31 @@ class Bench:
         found = np.ones(len(T), dtype=bool)
         for at in (T[:, :3, 3], T[:, :3, 3] + self.scanner.baseline_mm / 1000 * T[:, :3, 0]):
             found &= ((1000 * at < surface.low - margin) | (1000 * at > surface.high + margin)).any(axis=1)
-        if self.reach is not None:
-            found[found] = self.reach(T[found])
+        if self.kinematics is not None:
+            pose, _ = self.configurations(T[found])
+            found[np.flatnonzero(found)[np.setdiff1d(np.arange(int(found.sum())), pose)]] = False
         return found
+
+    def configurations(self, T: Array) -> tuple[Array, Array]:
+        """Return all allowed configurations (m, 6) of poses (n, 4, 4), with the (m,) number of the pose of each."""
+        assert self.kinematics is not None
+        T_base_part = in_metres(np.asarray(self.instance.data["T_base_part"])[None])[0]
+        q = self.kinematics.inverse(T_base_part @ T)
+        pose, q = np.repeat(np.arange(len(T)), q.shape[1]), q.reshape(-1, q.shape[2])
+        arm = self.instance.arm
+        with np.errstate(invalid="ignore"):
+            good = np.flatnonzero(((q > arm.limits[:, 0] + 1e-6) & (q < arm.limits[:, 1] - 1e-6)).all(axis=1))
+        good = good[arm.clearance(q[good], self.instance.keep_out) > 1e-3]
+        return pose[good], q[good]
+
+    def configure(self, poses: Array) -> Array:
+        """Return an allowed configuration (n, 6) of each of poses (n, 3, 4) [mm], the one nearest to home."""
+        pose, q = self.configurations(in_metres(poses))
+        order = np.lexsort([np.abs(q - np.asarray(self.instance.data["home"])).max(axis=1), pose])
+        first = order[np.unique(pose[order], return_index=True)[1]]
+        if len(first) < len(poses):
+            raise check.CheckError("a pose is not reached")
+        return q[first]
 
     def evaluator(self) -> growth.ViewEvaluator:
         """Return the evaluator of views at all allowed poses."""
@@ -113,6 +136,15 @@ class Bench:
         measured = find_measured(T[:, None], scouts, self.scanner, self.casters)
         grown = growth.grow(RayTargets.of(scouts.points, scouts.normals), measured, self.evaluator())
         return np.concatenate([T, grown.T_object_scanner])
+
+
+def arm_kinematics(arm: check.Arm) -> ArmKinematics:
+    """Return the planner's kinematics of an arm; its flange is the frame of the sensor."""
+    frames = [T[0] for T in arm.frames(np.zeros((1, len(arm.limits))))[1:]]
+    moving = [(T[:3, :3] @ axis, T[:3, 3] / 1000) for T, (_, axis) in zip(frames, arm.joints, strict=True) if axis is not None]
+    chain = Chain(np.array([d for d, _ in moving]), np.array([p for _, p in moving]), in_metres(frames[-1][None, :3])[0])
+    none = np.full(len(arm.limits), np.inf)
+    return ArmKinematics(chain, JointLimits(arm.limits[:, 0], arm.limits[:, 1], arm.speed, none))
 
 
 def _thinned(measured: Array, limit: int, rng: np.random.Generator) -> Array:
