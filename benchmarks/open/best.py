@@ -20,7 +20,7 @@ from benchmarks.open.baselines import DATE, store
 from benchmarks.open.tools import HERE, matrix_of, write_json
 from planner.cover import EFFORT_PER_SECOND, CoverProblem, solve
 
-EFFORT_S, MILP_S = 8.0, 60.0
+EFFORT_S, MILP_S = 5.0, 60.0
 PROOFS = HERE / "best" / "proofs.json"
 
 

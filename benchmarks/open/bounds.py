@@ -31,7 +31,7 @@ from planner.geometry.mesh import TriangleMesh
 SAMPLING = 0.003  # share of the surface: the error of the judge's samples, above four standard deviations
 NARROW_DEG = 20.0  # fields of view below this are searched over their middle plane, too
 SHRINK = 0.05  # mm, of the balls: rounding, and the gap before a sample
-N_BALLS, N_PATCHES, N_POSITIONS, N_NODES, N_ROUNDS = 100, 150, 300, 30_000, 2
+N_BALLS, N_PATCHES, N_POSITIONS, N_NODES, N_ROUNDS = 100, 150, 250, 12_000, 2
 _FINEST = 3.0  # mm: boxes of this radius are not split further
 
 

@@ -74,6 +74,13 @@ class Surface:
         start = np.tile((centre - middle).astype(np.float32), (len(points), 1))
         return scene.run(start, along, dists=(length - GAP).astype(np.float32), query="OCCLUDED") == 0
 
+    def first_hits(self, centre: Array, rays: Array) -> tuple[Array, Array]:
+        """Return the face (n,), -1 for none, and the distance (n,) of the first hit of unit rays from a centre."""
+        scene, middle = self._scene
+        start = np.tile((centre - middle).astype(np.float32), (len(rays), 1))
+        found = scene.run(start, rays.astype(np.float32), output=True)
+        return found["primID"].astype(np.int64), found["tfar"].astype(np.float64)
+
 
 def measured(sensor: dict[str, Any], surface: Surface, pose: Array, points: Array, normals: Array) -> Array:
     """Return (n,) whether a pose (3, 4) measures points with normals, by the conditions of the page."""
@@ -83,6 +90,18 @@ def measured(sensor: dict[str, Any], surface: Surface, pose: Array, points: Arra
         left = np.flatnonzero(result)
         result[left] = ~surface.is_hidden(at, points[left])
     return result
+
+
+def scan(instance: "Instance", pose: Array, step_deg: float = 0.5) -> Array:
+    """Return the points (n, 3) that a view of an unknown part gives: the measured first hits of a grid of rays."""
+    counts = [round(fov / step_deg) for fov in instance.sensor["fov_deg"]]
+    x, y = np.meshgrid(*(np.tan(np.radians((np.arange(n) + 0.5 - n / 2) * step_deg)) for n in counts))
+    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ pose[:, :3].T
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    face, distance = instance.surface.first_hits(pose[:, 3], rays)
+    hit = np.flatnonzero((face >= 0) & (face < len(instance.surface.triangles)))
+    points, normals = pose[:, 3] + distance[hit, None] * rays[hit], instance.surface.normals[face[hit]]
+    return points[measured(instance.sensor, instance.surface, pose, points, normals)]
 
 
 def in_view(sensor: dict[str, Any], p: Array, n: Array) -> Array:
@@ -401,13 +420,14 @@ def _fresh_seed(poses: Array) -> int:
     return int.from_bytes(hashlib.sha256(text.astype("<f8").tobytes()).digest()[:8], "little")
 
 
-def move_time(a: Array, b: Array, speed: Array, acceleration_s: float) -> float:
-    """Return the seconds of a joint move: trapezoidal speed, each joint for itself, the slowest one counts."""
-    distance = np.abs(b - a)
-    acceleration = speed / acceleration_s
-    reaches = distance >= speed * acceleration_s
-    times = np.where(reaches, distance / speed + acceleration_s, 2 * np.sqrt(distance / acceleration))
-    return float(times.max())
+def move_times(a: Array, b: Array, speed: Array, acceleration_s: float) -> Array:
+    """Return (n,) seconds of joint moves from a (axes,) to b (n, axes): the slowest joint counts.
+
+    A joint has a trapezoidal speed, and reaches its largest speed in `acceleration_s`.
+    """
+    in_full = np.abs(b - a) / speed
+    times = np.where(in_full >= acceleration_s, in_full + acceleration_s, 2 * np.sqrt(in_full * acceleration_s))
+    return np.asarray(times.max(axis=1))
 
 
 def _judge_tour(entry: dict[str, Any], instance: Instance, _: int) -> dict[str, Any]:
@@ -419,7 +439,7 @@ def _judge_tour(entry: dict[str, Any], instance: Instance, _: int) -> dict[str, 
     home = np.asarray(instance.data["home"])
     q = np.concatenate([home[None], instance.arrays["configurations"][nodes], home[None]])
     speed, acceleration_s = instance.arm.speed, instance.data["acceleration_s"]
-    return {"value": sum(move_time(a, b, speed, acceleration_s) for a, b in pairwise(q))}
+    return {"value": float(sum(move_times(a, b[None], speed, acceleration_s)[0] for a, b in pairwise(q)))}
 
 
 def _judge_budgets(entry: dict[str, Any], instance: Instance, n_fresh: int) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.open import check
-from benchmarks.open.tools import HERE, Bench, in_millimetres, write_json
+from benchmarks.open import check, tools
+from benchmarks.open.tools import HERE, Bench, in_metres, in_millimetres, write_json
+from planner.cover import CoverProblem, solve
 
 TARGETS = [0.95, 0.99, 1.0]
 CLEARANCE_MM = 20.0
@@ -34,8 +35,26 @@ PARTS_OF_A = {
 """Parts of tier A by sensor."""
 LIMITS = {"area": 600, "line": 350, "camera": 500}
 """Number of candidates before growth."""
-PARTS_OF_B = (("mseke", "area"), ("petanque", "area"), ("valve-block", "area"), ("crankshaft", "line"), ("gear", "camera"))
+PARTS_OF_B = (
+    ("mseke", "area"),
+    ("petanque", "area"),
+    ("valve-block", "area"),
+    ("crankshaft", "line"),
+    ("gear", "camera"),
+)
 """Parts and sensors of tier B."""
+VIEWS_OF_C = {
+    "C-mseke": ("B-mseke-area", 0.99, 0),
+    "C-petanque": ("B-petanque-area", 0.99, 0),
+    "C-valve-block": ("B-valve-block-area", 1.0, 0),
+    "C-gear": ("B-gear-camera", 1.0, 0),
+    "C-crankshaft": ("B-crankshaft-line", 1.0, 0),
+    "C-mseke-60": ("B-mseke-area", 1.0, 60),
+    "C-gear-120": ("B-gear-camera", 1.0, 120),
+}
+"""Source, target and number of random candidates (0: a cover) of tier C."""
+PARTS_OF_D = ("mug", "petanque", "housing", "impeller")
+ACCELERATION_S = 0.3
 HOME = [0.0, -0.6, 0.9, 0.0, 0.8, 0.0]
 
 
@@ -58,6 +77,34 @@ def make_b(part: str, sensor: str) -> None:
     cell = {"arm": "arm", "T_base_part": np.column_stack([np.eye(3), shift]).tolist(), "boxes": boxes, "home": HOME}
     data = {"tier": "B", "part": part, "part_sha256": part_hash(part), "sensor": sensor}
     write(f"B-{part}-{sensor}", data | cell, LIMITS[sensor])
+
+
+def make_c(name: str, source: str, target: float, n_random: int = 0) -> None:
+    """Write an instance of tier C: all configurations of the views of a cover, or of random candidates, of tier B."""
+    instance = check.load(source)
+    bench, M = tools.Bench(instance), tools.matrix_of(instance)
+    if n_random:
+        views = np.sort(np.random.default_rng(2).permutation(M.shape[1])[:n_random])
+    else:
+        views = solve(CoverProblem(M, np.ones(len(M)), coverage=target), rng=np.random.default_rng(0)).views
+    group, q = bench.configurations(in_metres(instance.arrays["poses"][views]))
+    keys = ("arm", "home", "T_base_part", "boxes")
+    data = {"tier": "C", "name": name, "views_of": source, "acceleration_s": ACCELERATION_S}
+    write_json(HERE / "instances" / f"{name}.json", data | {key: instance.data[key] for key in keys})
+    np.savez_compressed(HERE / "instances" / f"{name}.npz", configurations=np.round(q, 9), group=group.astype(np.int32))
+    sys.stdout.write(f"{name}: {len(views)} views, {len(q)} configurations\n")
+
+
+def make_d(part: str) -> None:
+    """Write an instance of tier D: the first view is level, from +x, at the middle of the range."""
+    like = check.load(f"A-{part}-area").data
+    data = {key: like[key] for key in ("part", "part_sha256", "sensor", "clearance_mm", "reference")}
+    surface = check.Surface(check.read_stl(HERE / "parts" / f"{part}.stl"))
+    middle = (surface.low + surface.high) / 2
+    at = [surface.high[0] + 300.0, middle[1], middle[2]]
+    first = np.column_stack([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], at])
+    data |= {"tier": "D", "name": f"D-{part}", "budgets": [5, 10, 15], "first": first.tolist()}
+    write_json(HERE / "instances" / f"D-{part}.json", data)
 
 
 def write(name: str, data: dict[str, Any], limit: int) -> None:
@@ -98,7 +145,7 @@ def part_hash(part: str) -> str:
 
 
 def main() -> None:
-    """Write the named instances of tiers A and B, or all."""
+    """Write the named instances or all."""
     wanted = sys.argv[1:]
     for sensor, parts in PARTS_OF_A.items():
         for part in parts:
@@ -107,6 +154,12 @@ def main() -> None:
     for part, sensor in PARTS_OF_B:
         if not wanted or f"B-{part}-{sensor}" in wanted:
             make_b(part, sensor)
+    for name, source in VIEWS_OF_C.items():
+        if not wanted or name in wanted:
+            make_c(name, *source)
+    for part in PARTS_OF_D:
+        if not wanted or f"D-{part}" in wanted:
+            make_d(part)
 
 
 if __name__ == "__main__":

@@ -141,8 +141,12 @@ class Bench:
 def arm_kinematics(arm: check.Arm) -> ArmKinematics:
     """Return the planner's kinematics of an arm; its flange is the frame of the sensor."""
     frames = [T[0] for T in arm.frames(np.zeros((1, len(arm.limits))))[1:]]
-    moving = [(T[:3, :3] @ axis, T[:3, 3] / 1000) for T, (_, axis) in zip(frames, arm.joints, strict=True) if axis is not None]
-    chain = Chain(np.array([d for d, _ in moving]), np.array([p for _, p in moving]), in_metres(frames[-1][None, :3])[0])
+    moving = [
+        (T[:3, :3] @ axis, T[:3, 3] / 1000) for T, (_, axis) in zip(frames, arm.joints, strict=True) if axis is not None
+    ]
+    chain = Chain(
+        np.array([d for d, _ in moving]), np.array([p for _, p in moving]), in_metres(frames[-1][None, :3])[0]
+    )
     none = np.full(len(arm.limits), np.inf)
     return ArmKinematics(chain, JointLimits(arm.limits[:, 0], arm.limits[:, 1], arm.speed, none))
 
