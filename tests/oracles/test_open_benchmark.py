@@ -87,6 +87,14 @@ def test_measured_agrees_with_brute_force(sensor):
     assert n_hidden > 5
 
 
+@pytest.mark.parametrize(("before", "is_hidden"), [(0.01, False), (0.05, True), (100.0, True), (400.0, False)])
+def test_a_triangle_before_the_sample_hides_it(before, is_hidden):
+    """A triangle hides a sample from 0.02 mm before it up to the centre."""
+    sample = np.array([[[-9, -9, 0], [9, -9, 0], [0, 9, 0]]], dtype=float)
+    surface = check.Surface(sample, sample + [0, 0, before])
+    assert surface.is_hidden(np.array([0.5, 0.5, 300.0]), np.array([[0.5, 0.5, 0.0]]))[0] == is_hidden
+
+
 @pytest.mark.parametrize("name", [*OF_SENSOR.values(), "B-mseke-area"])
 def test_measured_agrees_with_the_planner(name):
     """The planner's scanner and casters give the same verdicts, up to samples next to an edge."""
