@@ -1,6 +1,6 @@
 """Entries of tier D: `python -m benchmarks.open.explorers METHOD [INSTANCE ...]`, unknown parts.
 
-The policies are those of `benchmarks/exploring`: the stepwise policy of `cell explore` and three rivals. A policy knows
+The policies are those of `benchmarks/exploring`: the stepwise policy of `cell explore` and two rivals. A policy knows
 a cylinder about the part, its bounding box, and the points of its own scans.
 """
 
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.exploring import ours, rivals
-from benchmarks.exploring.density import density_frontier
 from benchmarks.exploring.lab import Knowledge, Lab, Policy
 from benchmarks.exploring.policies import TUNED
 from benchmarks.open import check
@@ -42,10 +41,6 @@ POLICIES: dict[str, tuple[Policy, str]] = {
         "Views of a sphere, each the farthest from all before (Gonzalez 1985).",
     ),
     "volumetric": (rivals.volumetric(TUNED["volumetric"]), "Most unknown voxels along rays (Connolly 1985)."),
-    "density": (
-        density_frontier(TUNED["density"]),
-        "Density frontier of the Surface Edge Explorer (Border, Gammell 2018).",
-    ),
 }
 """Policies of `benchmarks/exploring`, and descriptions."""
 
