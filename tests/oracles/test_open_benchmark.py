@@ -91,7 +91,7 @@ def test_measured_agrees_with_brute_force(sensor):
 def test_a_triangle_before_the_sample_hides_it(before, is_hidden):
     """A triangle hides a sample from 0.02 mm before it up to the centre."""
     sample = np.array([[[-9, -9, 0], [9, -9, 0], [0, 9, 0]]], dtype=float)
-    surface = check.Surface(sample, sample + [0, 0, before])
+    surface = check.Surface(sample, sample + np.array([0, 0, before]))
     assert surface.is_hidden(np.array([0.5, 0.5, 300.0]), np.array([[0.5, 0.5, 0.0]]))[0] == is_hidden
 
 
