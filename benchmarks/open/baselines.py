@@ -166,8 +166,8 @@ class FreeTrack:
         """Return the share of the samples for the requirement that poses (n, 4, 4) measure."""
         return float(self.memo.measured(T[:, None]).mean())
 
-    def entry(self, method: str, target: float) -> dict[str, Any]:
-        """Return the entry of a method."""
+    def entry(self, method: str, target: float) -> dict[str, Any] | None:
+        """Return the entry of a method; None if all that its samples ask of the candidates is not enough."""
         instance, since = self.bench.instance, process_time() - self.seconds
         select, effort, _ = METHODS[method]
         required = target * instance.data["reference"] + MARGIN
@@ -181,6 +181,8 @@ class FreeTrack:
         T = self.pool[columns]
         if effort and len(columns) > 1:
             T = self.moved(columns, EFFORTS[effort], required)
+        if self.held(T) < required:
+            return None
         entry = _entry(instance, target, "free", since)
         if instance.tier == "A":
             return entry | {"poses": in_millimetres(T).reshape(-1, 12).tolist()}
@@ -202,9 +204,8 @@ class FreeTrack:
             shortfall=lambda views: required - self.held(views.T_object_scanner),
             effort=round(effort * max(1.0, len(columns) / 25)), rng=np.random.default_rng(0),
         )  # fmt: skip
-        return next(
-            views.T_object_scanner for views in reversed(found.found) if self.held(views.T_object_scanner) >= required
-        )
+        held = [views.T_object_scanner for views in found.found if self.held(views.T_object_scanner) >= required]
+        return held[-1] if held else self.pool[columns]
 
 
 def _entry(instance: Instance, target: float, track: str, since: float) -> dict[str, Any]:
@@ -251,7 +252,8 @@ def main() -> None:
                 entries += [cover_entry(method, instance, target) for target in targets]
             if options.track != "cover":
                 free = free or FreeTrack(tools.bench_of(name))
-                entries += [free.entry(method, target) for target in targets if target < 1]
+                found = (free.entry(method, target) for target in targets if target < 1)
+                entries += [entry for entry in found if entry is not None]
             store(method, METHODS[method][2], entries)
             for entry in entries:
                 size = len(entry.get("columns") or entry.get("poses") or entry.get("configurations"))
