@@ -45,6 +45,7 @@ class MeasuredPoints(Value):
         origins: (V, 3) scanner of each view, about which its pose is uncertain [m].
         pose_sd: (V, 2) standard deviation of its position along each axis [m] and rotation about each axis [rad].
         weight: (N,) number of points that each stands for; None: one.
+        setup: (N,) row of `origins` and `pose_sd` with the registration of its set-up; None: one set-up.
     """
 
     points: Annotated[Floats, "N 3"]
@@ -53,6 +54,12 @@ class MeasuredPoints(Value):
     origins: Annotated[Floats, "V 3"]
     pose_sd: Annotated[Floats, "V 2"]
     weight: Annotated[Floats, "N"] | None = None
+    setup: Annotated[Ints, "N"] | None = None
+
+    @property
+    def causes(self) -> list[Ints]:
+        """Rows (N,) of `origins` and `pose_sd` with the poses that move each point: of its view, of its set-up."""
+        return [self.view] if self.setup is None else [self.view, self.setup]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -322,7 +329,7 @@ def _cells(
     scatter: float = 0.0,
 ) -> Cells:  # fmt: skip
     """Combine the points of a patch in cells."""
-    points, view = measured.points[rows], measured.view[rows]
+    points = measured.points[rows]
     weight = np.ones(len(rows)) if measured.weight is None else measured.weight[rows]
     feet = points - residuals[:, None] * normals
     size = float(np.sqrt(area / min(CELLS, max(weight.sum() / _CELL_POINTS, 12))))
@@ -332,18 +339,18 @@ def _cells(
     def mean(values: Floats) -> Floats:
         return np.asarray(np.bincount(cell, weights=weight * values) / count)
 
-    columns = np.hstack([normals, np.cross(points - measured.origins[view], normals)])
-    variance = measured.sigma[rows] ** 2
-    of_poses = (columns**2 @ np.repeat(measured.pose_sd.T**2, 3, axis=0))[np.arange(len(rows)), view]
+    variance, of_poses = measured.sigma[rows] ** 2, np.zeros(len(rows))
+    lever, shape_lever = np.zeros((len(count), n_views, 6)), np.zeros((N_COMPONENTS, n_views, 6))
+    for pose in (each[rows] for each in measured.causes):
+        columns = np.hstack([normals, np.cross(points - measured.origins[pose], normals)])
+        of_poses += (columns**2 * np.repeat(measured.pose_sd[pose] ** 2, 3, axis=1)).sum(axis=1)
+        np.add.at(lever, (cell, pose), weight[:, None] * columns)
+        for own, row in zip(shape_lever, gain, strict=True):
+            np.add.at(own, pose, row[:, None] * columns)
     # Scatter beyond the models of scanner and poses, or in their absence, is noise of the points.
     known = float(np.average(variance, weights=weight))
     left = max(scatter**2 - float(np.average(of_poses, weights=weight)), 0.0)
     variance = variance * max(1.0, left / known) if known > 0 else np.full(len(rows), left)
-    lever = np.zeros((len(count), n_views, 6))
-    np.add.at(lever, (cell, view), weight[:, None] * columns)
-    shape_lever = np.zeros((N_COMPONENTS, n_views, 6))
-    for own, row in zip(shape_lever, gain, strict=True):
-        np.add.at(own, view, row[:, None] * columns)
     return Cells(
         feet[first] + mean(residuals)[:, None] * normals[first],
         normals[first],

@@ -175,9 +175,13 @@ class _Reader:
         ids = [each.text for each in definition.iterfind("FeatureNominalIds/Id")]
         if not ids:
             raise _UnsupportedError("it is defined by datum targets, which are not supported")
-        if len(ids) > 1:
-            raise _UnsupportedError("it is a common datum of several features, which is not supported")
-        table = self._feature(self._element(ids[0]))
+        if len(ids) == 1:
+            table = self._feature(self._element(ids[0]))
+        else:  # faces on one surface are one feature
+            groups = self._faces.groups([n for each in ids for n in self._table_faces(self._element(each))])
+            if len(groups) > 1:
+                raise _UnsupportedError(f"its features lie on {len(groups)} surfaces, and one is supported")
+            table = self._table(*groups[0], name=f"datum {letter}")
         if table.get("datum"):
             raise _UnsupportedError(f"its feature is also the datum {table['datum']}")
         table["datum"] = letter
@@ -272,12 +276,11 @@ class _Reader:
         datums = frame.findall("Datums/Datum")
         for datum in sorted(datums, key=lambda each: order.get(each.findtext("Precedence/PrecedenceEnum") or "", 3)):
             ids = [each.text or "" for each in datum.iter("DatumDefinitionId")]
-            if len(ids) != 1:
-                raise _UnsupportedError("it refers to a common datum, which is not supported")
-            if ids[0] not in self._letters:
-                label = self._element(ids[0]).findtext("DatumLabel")
-                raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
-            yield self._letters[ids[0]]
+            for each in ids:
+                if each not in self._letters:
+                    label = self._element(each).findtext("DatumLabel")
+                    raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
+            yield "-".join(self._letters[each] for each in ids)
 
 
 class _FaceFinder:

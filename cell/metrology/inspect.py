@@ -1,5 +1,6 @@
 """`cell inspect`: measured points, a mesh or an execution compared with the tolerances of a part."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from planner.values import Floats, Ints
 
 _FINE_MESH = 20_000  # vertices of a mesh that was reconstructed from points; a coarser one is sampled
 _MESH_SAMPLES = 200_000
+REGISTERED = "errors that the registration leaves in the poses are not in U"
 _FAR = 10.0  # diagonals of the part: distance of an assumed scanner
 
 
@@ -130,27 +132,63 @@ def inspect_execution(
         raise FileError(
             f"{path} is missing or damaged; write it again with cell scan --report {recorded.folder.name}"
         ) from error
-    options = recorded.manifest.options or {}
     views = vertex.columns("view")[:, 0].astype(np.int64) - 1
     sigma = vertex.columns("scalar_sigma_mm")[:, 0] / 1000
     points, normals = vertex.columns("x", "y", "z") / 1000, vertex.columns("nx", "ny", "nz")
-    simulated = all(scan.T_true is not None for scan in recorded.scans)
-    given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
-    noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
-    if simulated:
-        sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
+    measured = execution_points(run, recorded, points, normals, sigma, views)
+    simulated, options = all(scan.T_true is not None for scan in recorded.scans), recorded.manifest.options or {}
     registered = bool(options.get("register"))
-    pose = (0.0, 0.0) if registered else given if simulated else run.plan_pose_sd
     return inspect_points(
         plan,
         reference,
-        points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose),
+        measured,
         part=run.scene.part.name,
         source="; ".join(dict.fromkeys(scan.source for scan in recorded.scans)),
         is_simulated=simulated,
         on_reference=simulated and not options.get("actual"),
         aligned="scans registered to each other and to the part" if registered else "scans by their reported poses",
-        notes=("errors that the registration leaves in the poses are not in U",) if registered else (),
+        notes=(REGISTERED,) if registered else (),
+    )
+
+
+def execution_points(
+    run: Run, recorded: RecordedExecution, points: Floats, normals: Floats, sigma: Floats, views: Ints
+) -> MeasuredPoints:
+    """Return the points of an execution with their errors.
+
+    Args:
+        run: its plan.
+        recorded: the execution.
+        points: (N, 3) merged, object frame [m].
+        normals: (N, 3) of the surface.
+        sigma: (N,) by the scanner's model along the ray [m].
+        views: (N,) index of the view.
+    """
+    options = recorded.manifest.options or {}
+    simulated = all(scan.T_true is not None for scan in recorded.scans)
+    given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
+    noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
+    if simulated:
+        sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
+    pose = (0.0, 0.0) if options.get("register") else given if simulated else run.plan_pose_sd
+    return points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose)
+
+
+def points_of_setups(setups: Sequence[MeasuredPoints], placements: Sequence[tuple[float, float]]) -> MeasuredPoints:
+    """Return the points of several set-ups, whose registrations are errors in common.
+
+    Args:
+        setups: points of each set-up.
+        placements: standard deviations of the registration of each [m, rad], about the mean of its points.
+    """
+    first = np.cumsum([0, *(len(each.origins) for each in setups)])
+    return MeasuredPoints(
+        np.concatenate([each.points for each in setups]),
+        np.concatenate([each.sigma for each in setups]),
+        np.concatenate([each.view + start for each, start in zip(setups, first[:-1], strict=True)]),
+        np.concatenate([*(each.origins for each in setups), [each.points.mean(axis=0) for each in setups]]),
+        np.concatenate([*(each.pose_sd for each in setups), np.array(placements)]),
+        setup=np.repeat(first[-1] + np.arange(len(setups)), [len(each.points) for each in setups]),
     )
 
 

@@ -33,6 +33,7 @@ _TUKEY = 4.685  # 95 % efficiency on normal residuals
 _MIN_SCALE = 1e-6  # m; the residuals of exact data must not let one kind of match dominate the others
 _GAUGE = 1e-6  # relative eigenvalue below which a common motion of the scans changes no match
 _MIN_PAIR_SAMPLES = 200
+_BLOCKS = 4  # along each axis, whose deviations are taken as independent
 
 
 class MovingScan:
@@ -315,6 +316,38 @@ class ScanRegistration(Value):
     def sentence(self) -> str:
         """Status and free motions of the scan, for a report."""
         return f"{self.status.value} ({describe(self.free)})" if self.free else self.status.value
+
+
+def placement_sd(points: Floats, nearest: ClosestPointQuery) -> tuple[float, float]:
+    """Return the standard deviations of the placement of registered points: along [m] and about [rad] any axis.
+
+    Delete-one jackknife (Efron 1982, doi:10.1137/1.9781611970319) over blocks of a grid: deviations of a part from its
+    model, unlike noise, are alike at neighbouring points and do not average out. The larger ones of all axes count;
+    rotations are about the mean of the points.
+
+    Args:
+        points: (N, 3) after registration [m].
+        nearest: the reference.
+    """
+    closest = nearest.closest(points)
+    normals, centre = nearest.normals(closest), points.mean(axis=0)
+    off = np.einsum("nj,nj->n", points - closest.point, normals)
+    keep = np.abs(off - np.median(off)) <= 3 * 1.4826 * np.median(np.abs(off - np.median(off))) + _MIN_SCALE
+    points, normals, off = points[keep], normals[keep], off[keep]
+    length = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+    J = np.hstack([normals, np.cross((points - centre) / length, normals)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell = np.minimum((_BLOCKS * (points - low) / np.maximum(high - low, _MIN_SCALE)).astype(np.int64), _BLOCKS - 1)
+    block = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    n = int(block.max()) + 1
+    A, b = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    np.add.at(b, block, J * off[:, None])
+    for k in range(n):
+        A[k] = J[block == k].T @ J[block == k]
+    found = np.stack([np.linalg.pinv(A.sum(axis=0) - A[k], 1e-6) @ (b.sum(axis=0) - b[k]) for k in range(n)])
+    covariance = (n - 1) / n * (found - found.mean(axis=0)).T @ (found - found.mean(axis=0))
+    along, about = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
+    return along, about / length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
