@@ -26,7 +26,7 @@ from cell.inspect.evaluation import Evaluation, Measurement, verdict_of
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.inspection import read_plan
 from cell.inspect.measured import Association, MeasuredFeature, measure_patch
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.metrology.inspect import points_of_views
 from cell.part.workpiece import load
 from cell.runs.cell import read_cell
@@ -69,7 +69,7 @@ class Bench:
     def predict(self) -> list[Measurement]:
         """Return the predicted uncertainties."""
         casters = [EmbreeRayCaster(self.part.vertices, self.part.faces), *filter(None, [self.occluders])]
-        features = predict_features(self.association, self.views[:, None], self.scanner, casters)
+        features = predict_features(self.association, [PlannedViews(self.views[:, None], self.scanner, casters)])
         return predicted_measurements(self.plan, self.association, features, self.pose_sd)
 
 

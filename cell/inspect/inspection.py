@@ -1,6 +1,6 @@
 """Inspection of points: characteristics of a scene or a QIF file, alignment, evaluation, files of the results."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,10 +12,10 @@ from cell.files import read_bytes
 from cell.inspect import pictures, qif
 from cell.inspect.alignment import fit_reference_points
 from cell.inspect.artefacts import FEATURES, PAGE, QIF_RESULTS, RESULTS, TABLE
-from cell.inspect.evaluation import Evaluation
+from cell.inspect.evaluation import Evaluation, Measurement
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown
 from cell.part.workpiece import Workpiece
@@ -23,7 +23,6 @@ from cell.runs.run import Run
 from cell.runs.schema import parsed
 from cell.scene.model import Region, Scene
 from planner.geometry.mesh import TriangleMesh
-from planner.ports import RayCaster, Scanner
 from planner.registration.cloud import PointCloud
 from planner.registration.registration import register
 from planner.registration.rigid import transform_points
@@ -217,29 +216,44 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
 
 
 def predict_plan(
-    plan: InspectionPlan,
-    reference: TriangleMesh,
-    T_object_poses: Floats,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-    pose_sd: tuple[float, float],
+    plan: InspectionPlan, reference: TriangleMesh, setups: Sequence[PlannedViews], pose_sd: tuple[float, float],
     part: str,
-) -> InspectionResult:
-    """Predict the uncertainty of the characteristics by the views of a plan.
+) -> InspectionResult:  # fmt: skip
+    """Predict the uncertainty of the characteristics by the views of one or several set-ups.
 
     Args:
         plan: features and characteristics.
         reference: the part.
-        T_object_poses: (n, K, 4, 4) poses of the views [m].
-        scanner: with a model of the standard deviation of its points.
-        casters: of the part and of occluders.
+        setups: their views.
         pose_sd: standard deviations of executed poses [mm, deg].
         part: its name.
     """
-    association = Association(reference, plan)
-    features = predict_features(association, T_object_poses, scanner, casters)
-    sd = np.tile([pose_sd[0] / 1000, np.radians(pose_sd[1])], (len(T_object_poses), 1))
+    association, count = Association(reference, plan), sum(len(each.T_object_poses) for each in setups)
+    features = predict_features(association, setups)
+    sd = np.tile([pose_sd[0] / 1000, np.radians(pose_sd[1])], (count, 1))
+    measurements = predicted_measurements(plan, association, features, sd)
+    if len(setups) > 1:
+        own = [predict_features(association, [each]) for each in setups]
+        measurements = [_with_setups(plan, each, own) for each in measurements]
+    source = f"{count} planned views" + (f" in {len(setups)} set-ups" if len(setups) > 1 else "")
     return inspection_result(
-        plan, predicted_measurements(plan, association, features, sd), features, part=part,
-        source=f"{len(T_object_poses)} planned views", alignment="", is_simulated=False, is_predicted=True,
-    )  # fmt: skip
+        plan, measurements, features, part=part, source=source, alignment="", is_simulated=False, is_predicted=True
+    )
+
+
+def _with_setups(
+    plan: InspectionPlan, measurement: Measurement, setups: Sequence[Mapping[str, MeasuredFeature]]
+) -> Measurement:
+    """Return a predicted measurement with a cause if no set-up measures all its features."""
+    names = [feature.name for feature in plan.features_of(measurement.characteristic)]
+    measuring = {
+        name: [k for k, found in enumerate(setups, 1) if all(p.is_measured for p in found[name].patches)]
+        for name in names
+    }
+    if measurement.value is None or set.intersection(*map(set, measuring.values())):
+        return measurement
+    where = ", ".join(
+        f"{name} in {' and '.join(map(str, numbers)) or 'parts of several'}" for name, numbers in measuring.items()
+    )
+    cause = f"no set-up measures all its features ({where}): the registration of the set-ups adds to U"
+    return replace(measurement, cause="; ".join(filter(None, [measurement.cause, cause])))

@@ -117,6 +117,11 @@ class MeasuredPatch:
     missed: tuple[str, ...] = ()
     mean_views: float = 0.0
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether its points determine it and meet the demands of a plan."""
+        return not self.doubts and not self.missed
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredFeature:

@@ -16,7 +16,7 @@ from cell.inspect.evaluation import Verdict, verdict_of
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.inspection import Inspected, align, inspect_points
 from cell.inspect.measured import Association, MeasuredPoints, measure_features
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.inspect.qif import read_qif
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import as_csv
@@ -389,7 +389,7 @@ class TestPrediction:
         association = Association(block.reference, plan)
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
         scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
-        features = predict_features(association, views[:, None], scanner, [caster])
+        features = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
         sd = np.tile([pose, 0.0], (len(views), 1))
         found = predicted_measurements(plan, association, features, sd)
         return {each.characteristic.name: (each.expanded_uncertainty, each.cause) for each in found}
@@ -428,7 +428,7 @@ class TestPrediction:
         association = Association(block.reference, plan)
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
         scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
-        predicted = predict_features(association, views[:, None], scanner, [caster])
+        predicted = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
         scans = [virtual_scan.scan(scanner, T, caster, block.reference).points for T in views]
         measured = measure_features(association, single_view(np.concatenate(scans)))
         for name in ("top", "front", "right", "bore"):
