@@ -16,6 +16,7 @@ from cell.inspect.evaluation import Evaluation, Measurement
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
 from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
+from cell.inspect.qif_document import document_of
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown
 from cell.part.workpiece import Workpiece
@@ -123,17 +124,21 @@ class Inspected:
     reference: TriangleMesh
 
     def write(self, write: Callable[[str, bytes], None], source: bytes | None) -> None:
-        """Write features.json, the table, the page, and QIF results if the characteristics are from a QIF file.
+        """Write features.json, the table, the page and the QIF results.
 
         Args:
             write: writes a file by its name.
-            source: the QIF file.
+            source: the QIF file of the characteristics; None without one.
         """
         result = self.result
         write(RESULTS, (result.model_dump_json(indent=2) + "\n").encode())
         write(TABLE, as_csv(result).encode())
         write(PAGE, pictures.features_page(self.reference, self.plan, result, self.features).encode())
-        if source is not None and any(each.source_id for each in result.characteristics):
+        if source is None:
+            source, ids = document_of(self.plan)
+            rows = [each.model_copy(update={"source_id": ids.get(each.id)}) for each in result.characteristics]
+            result = result.model_copy(update={"characteristics": tuple(rows)})
+        if any(each.source_id for each in result.characteristics):
             write(QIF_RESULTS, qif_results(source, result))
 
     def section(self) -> list[str]:
