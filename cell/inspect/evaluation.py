@@ -10,7 +10,7 @@ Conformity follows ISO 14253-1: pass if the value is inside the limits by more t
 than U, else undecided.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -58,6 +58,7 @@ class Measurement:
         verdict: conformity.
         method: of the evaluation, in words.
         cause: reason for a missing value.
+        note: doubt about the value.
     """
 
     characteristic: Characteristic
@@ -66,6 +67,7 @@ class Measurement:
     verdict: Verdict
     method: str
     cause: str = ""
+    note: str = ""
 
 
 def verdict_of(value: float, uncertainty: float, lower: float | None, upper: float | None) -> Verdict:
@@ -167,10 +169,12 @@ class Evaluation:
             return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
         model, shapes = self._model(characteristic), self._shapes(characteristic)
         g = model.components(shapes)
+        slopes = self._slopes(model, shapes, g)
         scale = 1000.0 if characteristic.unit == "mm" else float(np.degrees(1.0))
-        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, shapes, g)
+        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, slopes, g)
         verdict = verdict_of(value, uncertainty, characteristic.lower, characteristic.upper)
-        return Measurement(characteristic, value, uncertainty, verdict, model.method)
+        note = "; ".join(self._weak_features(characteristic, slopes))
+        return Measurement(characteristic, value, uncertainty, verdict, model.method, note=note)
 
     def values(self) -> list[float]:
         """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
@@ -200,9 +204,31 @@ class Evaluation:
 
     # Errors
 
-    def _uncertainty(self, model: _Model, shapes: Shapes, g: Floats) -> float:
+    def _slopes(self, model: _Model, shapes: Shapes, g: Floats) -> dict[tuple[str, int], Floats]:
+        """Return the derivative (m, 7) of the components by the changes of each shape."""
+        found = {}
+        for key, shape in shapes.items():
+            J = np.zeros((len(g), N_COMPONENTS))
+            used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
+            for component in used if self._cells(key).gain.any() else ():
+                change = np.zeros(N_COMPONENTS)
+                change[component] = _DIFFERENCE
+                low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
+                J[:, component] = (high - low) / (2 * _DIFFERENCE)
+            found[key] = J
+        return found
+
+    def _weak_features(self, c: Characteristic, slopes: Mapping[tuple[str, int], Floats]) -> Iterator[str]:
+        """Yield a sentence for each feature whose points do not average in a value, but are amplified."""
+        for key, J in slopes.items():
+            extent = 1.0 if c.unit == "mm" else float(np.linalg.norm(np.ptp(self._patch(key).corners, axis=0))) / 2
+            times = extent * float(np.linalg.norm(J @ self._cells(key).unit_noise, axis=1).max())
+            if times > 1:
+                yield f"nearly not determined: an error of the points on {key[0]} counts {times:.1f} times"
+
+    def _uncertainty(self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats) -> float:
         """Return the expanded uncertainty [m or rad]."""
-        gain = self._gain(model, shapes, g)
+        gain = self._gain(model, slopes, g)
         if model.reduce is _first or not gain.any():
             return 2 * float(np.linalg.norm(gain))
         # Draws of as few independent errors as there are components.
@@ -217,21 +243,14 @@ class Evaluation:
         # Errors alone make a zone or an offset from zero; the measured one contains its own already.
         return max(spread, scale * float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
 
-    def _gain(self, model: _Model, shapes: Shapes, g: Floats) -> Floats:
+    def _gain(self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats) -> Floats:
         """Return the change (m, K) of the components by independent errors of unit variance.
 
         The errors are those of the means of all cells, and of the views' poses, which all patches have in common.
         """
         noise, poses, start = [], np.zeros((len(g), 6 * len(self.pose_sd))), 0
-        for key, shape in shapes.items():
+        for key, J in slopes.items():
             cells = self._cells(key)
-            J = np.zeros((len(g), N_COMPONENTS))
-            used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
-            for component in used if cells.gain.any() else ():
-                change = np.zeros(N_COMPONENTS)
-                change[component] = _DIFFERENCE
-                low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
-                J[:, component] = (high - low) / (2 * _DIFFERENCE)
             poses += J @ cells.shape_lever.reshape(N_COMPONENTS, -1)
             if key not in model.cells:
                 noise.append(J @ cells.shape_noise)

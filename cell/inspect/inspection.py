@@ -156,6 +156,7 @@ def inspect_points(
     is_simulated: bool,
     on_reference: bool = False,
     aligned: str = "",
+    T_located: Floats | None = None,
     notes: tuple[str, ...] = (),
 ) -> Inspected:
     """Align points, associate them with the features, and evaluate the characteristics.
@@ -169,6 +170,7 @@ def inspect_points(
         is_simulated: whether they are simulated.
         on_reference: whether they were simulated on the triangles of the reference; these approximate its surfaces.
         aligned: alignment that the points have already, in words.
+        T_located: (4, 4) motion of the points to the part that was made before; None: none.
         notes: for the results.
     """
     association = Association(reference, plan)
@@ -185,7 +187,7 @@ def inspect_points(
     measurements = Evaluation(plan, features, association.nearest, measured.pose_sd).measure_all()
     result = inspection_result(
         plan, measurements, features, part=part, source=source, alignment="; ".join(filter(None, [aligned, words])),
-        is_simulated=is_simulated, notes=notes,
+        is_simulated=is_simulated, T_part_points=T if T_located is None else T @ T_located, notes=notes,
     )  # fmt: skip
     return Inspected(result, features, plan, reference)
 

@@ -74,6 +74,7 @@ class Cells(Value):
         gain: (7, C) change of the fitted shape per displacement of a cell along its normal.
         is_dense: (C,) whether a cell has enough points for form.
         shape_noise: (7, K) change of the fitted shape by independent errors of unit variance of the points.
+        unit_noise: (7, K) the same for errors of 1 m of each point.
         shape_lever: (7, V, 6) change of the fitted shape per translation and rotation of each view.
     """
 
@@ -84,6 +85,7 @@ class Cells(Value):
     gain: Annotated[Floats, "7 C"]
     is_dense: Annotated[Bools, "C"]
     shape_noise: Annotated[Floats, "7 K"]
+    unit_noise: Annotated[Floats, "7 K"]
     shape_lever: Annotated[Floats, "7 V 6"]
 
 
@@ -364,6 +366,7 @@ def _cells(
         np.stack([np.bincount(cell, weights=row) for row in gain]),
         count >= SPARSE * np.median(count),
         np.asarray(np.linalg.qr((gain * np.sqrt(variance / weight)).T, mode="r")).T,
+        np.asarray(np.linalg.qr((gain / np.sqrt(weight)).T, mode="r")).T,
         shape_lever,
     )
 

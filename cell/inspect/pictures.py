@@ -54,6 +54,7 @@ def features_page(
         for each in result.characteristics:
             if each.feature == feature.name:
                 value = each.cause or f"{each.value:.4f} ± {each.expanded_uncertainty:.4f} {each.unit}: {each.verdict}"
+                value += f" ({each.note})" if each.note else ""
                 rows.append((f"{each.name} ({each.kind})", f"{tolerance_text(each)} → {value}"))
         items.append({"number": number, "rows": rows})
     source = "simulated points" if result.is_simulated else result.source

@@ -165,7 +165,7 @@ def predicted_measurements(
     found = []
     for characteristic in plan.characteristics:
         measurement = evaluation.measure(characteristic)
-        causes = [measurement.cause] if measurement.cause else []
+        causes = [*filter(None, [measurement.cause, measurement.note])]
         for feature in plan.features_of(characteristic):
             causes += [f"{feature.name}: {each}" for patch in features[feature.name].patches for each in patch.missed]
         tolerance, uncertainty = characteristic.tolerance, measurement.expanded_uncertainty

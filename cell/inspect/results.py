@@ -14,6 +14,7 @@ from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import MeasuredFeature, MeasuredPatch
 from cell.runs.schema import JsonTable, Triple
 from planner.fitting.shapes import ShapeKind
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +42,7 @@ class MeasuredCharacteristic(JsonTable):
     expanded_uncertainty: float | None = Field(description="U, k = 2")
     verdict: Literal["pass", "fail", "undecided", "no tolerance", "not measured"]
     method: str = Field(description="evaluation of the value")
-    note: str = Field(description="deviation from the standard in its evaluation")
+    note: str = Field(description="deviation from the standard, or doubt about the value")
     cause: str = Field(description="reason for a missing value")
     source_id: str | None = Field(description="id in the QIF file")
 
@@ -78,6 +79,9 @@ class InspectionResult(JsonTable):
     is_predicted: bool = Field(description="whether it is the prediction of a plan, whose values are nominal")
     characteristics_source: str = Field(description="origin of the characteristics")
     alignment: str = Field(description="of points without datums, in words")
+    T_part_points: tuple[tuple[float, float, float, float], ...] | None = Field(
+        default=None, description="motion of the points to the part by search and alignment, rows [mm]; null: none"
+    )
     rule: str = Field(description="decision rule of the verdicts")
     characteristics: tuple[MeasuredCharacteristic, ...]
     features: tuple[MeasuredElement, ...]
@@ -120,6 +124,7 @@ def inspection_result(
     alignment: str,
     is_simulated: bool,
     is_predicted: bool = False,
+    T_part_points: Floats | None = None,
     notes: Sequence[str] = (),
 ) -> InspectionResult:
     """Return the results as values of features.json."""
@@ -130,6 +135,7 @@ def inspection_result(
         is_predicted=is_predicted,
         characteristics_source=plan.source,
         alignment=alignment,
+        T_part_points=None if T_part_points is None else _rows(T_part_points),
         rule=RULE,
         characteristics=tuple(map(_measured, measurements)),
         features=tuple(_element(name, patch) for name, feature in features.items() for patch in feature.patches),
@@ -149,7 +155,7 @@ def _measured(measurement: Measurement) -> MeasuredCharacteristic:
         expanded_uncertainty=None if uncertainty is None else round(uncertainty, 6),
         verdict=measurement.verdict.value,
         method=measurement.method,
-        note=c.note,
+        note="; ".join(filter(None, [c.note, measurement.note])),
         cause=measurement.cause,
     )
 
@@ -173,9 +179,15 @@ def _element(name: str, patch: MeasuredPatch) -> MeasuredElement:
     )
 
 
-def _triple(values: "np.ndarray[tuple[int], np.dtype[np.float64]]", digits: int) -> Triple:
+def _triple(values: Floats, digits: int) -> Triple:
     x, y, z = (round(float(value), digits) + 0.0 for value in values)
     return x, y, z
+
+
+def _rows(T: Floats) -> tuple[tuple[float, float, float, float], ...]:
+    """Return the rows of a motion (4, 4) in millimetres."""
+    inner = T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])
+    return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in np.round(inner, 12).tolist())
 
 
 def as_csv(result: InspectionResult) -> str:

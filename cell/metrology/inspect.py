@@ -62,16 +62,20 @@ def inspect(
     with reporter.stage("read the points"):
         if run is None:
             measured, words = _file_points(source, options)
-            measured, aligned = located(measured, reference, options)
+            measured, aligned, T_located = located(measured, reference, options)
     for sentence in (*plan.notes, *plan.unsupported):
         reporter.note(sentence)
     with reporter.stage("inspect"):
         if run is None:
             done = inspect_points(
-                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned
-            )
+                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned,
+                T_located=T_located,
+            )  # fmt: skip
         else:
             done = inspect_execution(plan, reference, run, read_execution(run, source.name))
+        for each in done.result.characteristics:
+            if "nearly not determined" in each.note:
+                reporter.note(f"{each.name}: {each.note}")
         folder = Path("sim_runs") / f"inspect-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else out
         write_results(folder, done, qif)
     return folder, done
@@ -255,14 +259,16 @@ def _mesh_of(source: Path) -> TriangleMesh | None:
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 
-def located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions) -> tuple[MeasuredPoints, str]:
-    """Return points of a file after a search for the place of the part, and the search in words.
+def located(
+    measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions
+) -> tuple[MeasuredPoints, str, Floats]:
+    """Return points of a file after a search for the place of the part, the search in words, and their motion.
 
     Raises:
         FileError: if too few points lie near the part.
     """
     if options.search_mm == 0 == options.search_deg:
-        return measured, ""
+        return measured, "", np.eye(4)
     centre = (reference.vertices.min(axis=0) + reference.vertices.max(axis=0)) / 2
     search = SearchRange(options.search_mm / 1000, float(np.radians(options.search_deg)))
     rng = random_stream(0, Stream.LOCALISATION_STARTS)
@@ -279,4 +285,5 @@ def located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectO
     except PlannerError as error:
         raise FileError(str(error)) from error
     sd = float(measured.sigma[0])
-    return _single_view(transform_points(fit.T, measured.points), sd), f"located within {options.search_mm:g} mm"
+    words = f"located within {options.search_mm:g} mm, {options.search_deg:g} deg"
+    return _single_view(transform_points(fit.T, measured.points), sd), words, fit.T
