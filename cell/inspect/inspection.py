@@ -25,7 +25,7 @@ from cell.runs.schema import parsed
 from cell.scene.model import Region, Scene
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud
-from planner.registration.registration import register
+from planner.registration.registration import fit_majority, register
 from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
@@ -203,8 +203,10 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
         normals = association.nearest.normals(association.nearest.closest(chosen))
         cloud = PointCloud(chosen, normals, np.zeros(len(chosen), dtype=np.int32))
         found = register([cloud], association.nearest).scans[0]
-        how = "robust weights" if found.is_corrected else f"not applied: {found.status.value}"
-        return found.T_correction, f"best fit of all points, {how}{datums}"
+        if not found.is_corrected:
+            return found.T_correction, f"best fit of all points, not applied: {found.status.value}{datums}"
+        reach = association.plan.reach_mm / 1000
+        return fit_majority(chosen, association.nearest, found.T_correction, reach), f"best fit of most points{datums}"
     nominal = np.array([point for point, _, _ in plan.rps]) / 1000
     directions = np.array([direction for _, direction, _ in plan.rps], dtype=np.float64)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -285,5 +285,6 @@ def located(
     except PlannerError as error:
         raise FileError(str(error)) from error
     sd = float(measured.sigma[0])
-    words = f"located within {options.search_mm:g} mm, {options.search_deg:g} deg"
+    doubts = (*fit.doubts, *fit.alternatives)
+    words = "; ".join([f"located within {options.search_mm:g} mm, {options.search_deg:g} deg", *doubts])
     return _single_view(transform_points(fit.T, measured.points), sd), words, fit.T
