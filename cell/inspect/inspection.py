@@ -11,14 +11,14 @@ from cell.errors import SceneError
 from cell.files import read_bytes
 from cell.inspect import pictures, qif
 from cell.inspect.alignment import fit_reference_points
-from cell.inspect.artefacts import FEATURES, PAGE, QIF_RESULTS, RESULTS, TABLE
+from cell.inspect.artefacts import FEATURES, PAGE, POINTS, QIF_RESULTS, RESULTS, TABLE
 from cell.inspect.evaluation import Evaluation, Measurement
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
 from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.inspect.qif_document import document_of
 from cell.inspect.qif_results import qif_results
-from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown
+from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown, points_csv
 from cell.part.workpiece import Workpiece
 from cell.runs.run import Run
 from cell.runs.schema import parsed
@@ -124,7 +124,7 @@ class Inspected:
     reference: TriangleMesh
 
     def write(self, write: Callable[[str, bytes], None], source: bytes | None) -> None:
-        """Write features.json, the table, the page and the QIF results.
+        """Write features.json, the tables of characteristics and points, the page and the QIF results.
 
         Args:
             write: writes a file by its name.
@@ -133,6 +133,7 @@ class Inspected:
         result = self.result
         write(RESULTS, (result.model_dump_json(indent=2) + "\n").encode())
         write(TABLE, as_csv(result).encode())
+        write(POINTS, points_csv(self.features).encode())
         write(PAGE, pictures.features_page(self.reference, self.plan, result, self.features).encode())
         if source is None:
             source, ids = document_of(self.plan)

@@ -120,6 +120,13 @@ class MeasuredPatch:
     mean_views: float = 0.0
 
     @property
+    def deviations(self) -> Floats:
+        """(C,) distances of its cells from the fitted element; of a mesh from its mean plane [m]."""
+        assert self.cells is not None, "a patch without points has no deviations"
+        assert self.shape is not None, "a patch with cells has a shape"
+        return self.shape.distances(self.cells.points)
+
+    @property
     def is_measured(self) -> bool:
         """Whether its points determine it and meet the demands of a plan."""
         return not self.doubts and not self.missed

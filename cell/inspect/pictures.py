@@ -101,11 +101,8 @@ def _deviations(
         if not cells or not len(own):
             continue
         points = np.concatenate([patch.cells.points for patch in cells if patch.cells is not None])
-        off = [
-            shape.distances(patch.cells.points) if (shape := patch.shape) and patch.cells else np.empty(0)
-            for patch in cells
-        ]
-        found[own] = 1000 * np.concatenate(off)[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
+        off = np.concatenate([patch.deviations for patch in cells])
+        found[own] = 1000 * off[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
     return found
 
 

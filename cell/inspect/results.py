@@ -202,6 +202,18 @@ def as_csv(result: InspectionResult) -> str:
     return text.getvalue()
 
 
+def points_csv(features: Mapping[str, MeasuredFeature]) -> str:
+    """Return the cell means of the features as CSV: place, and deviation from the fitted element or the nominal one."""
+    lines = ["feature,x_mm,y_mm,z_mm,deviation_mm"]
+    for name, feature in features.items():
+        for patch in feature.patches:
+            if patch.cells is not None and patch.shape is not None:
+                rows = np.column_stack([1000 * patch.cells.points, 1000 * patch.deviations])
+                quoted = '"' + name.replace('"', '""') + '"'
+                lines += [",".join([quoted, *(f"{each:.4f}" for each in row)]) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
 def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
     """Return heading and rows of the table of characteristics."""
     heading = ["", "characteristic", "feature", "tolerance", "value", "U (k = 2)", "U/T", "verdict"]

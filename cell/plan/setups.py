@@ -151,7 +151,7 @@ def _predicted_section(
     connected: Mapping[int, ConnectedSetup],
 ) -> list[str]:  # fmt: skip
     """Predict the uncertainty of the characteristics by all set-ups, note unmet demands; return the section."""
-    if not settled.scene.feature and settled.scene.inspection.qif is None:
+    if not settled.scene.has_features:
         return []
     from cell.inspect.artefacts import PREDICTED
     from cell.inspect.inspection import plan_inspection, predict_plan
