@@ -105,6 +105,7 @@ class MeasuredPatch:
         doubts: reasons why the shape is not determined.
         missed: demands on a plan that are not met.
         mean_views: of the measured surface.
+        area: of the patch [m^2].
     """
 
     patch: Patch
@@ -118,6 +119,12 @@ class MeasuredPatch:
     doubts: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
     mean_views: float = 0.0
+    area: float = 0.0
+
+    @property
+    def spacing(self) -> float | None:
+        """Mean distance of neighbouring points [m]; None without points."""
+        return float(np.sqrt(self.area * self.share / self.n_points)) if self.n_points else None
 
     @property
     def deviations(self) -> Floats:
@@ -254,7 +261,7 @@ def measure_patch(
         nominal = Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
         cells, sigma = _cells(measured, rows, nominal, normals, off, gain, area), float(np.std(off))
         share = _share(association, surface, measured.points[rows])
-        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma)
+        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma, area=area)
     weight = measured.weight
     found = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
     keep = _inliers(found.residuals)
@@ -267,7 +274,7 @@ def measure_patch(
     share = _share(association, surface, measured.points[rows])
     return MeasuredPatch(
         patch, found.shape, cells, corners, len(rows), count - len(rows), share, found.sigma,
-        found.doubts,
+        found.doubts, area=area,
     )  # fmt: skip
 
 

@@ -68,6 +68,7 @@ class MeasuredElement(JsonTable):
     diameter_mm: float | None
     full_angle_deg: float | None
     sd_mm: float = Field(description="standard deviation of the points about the element")
+    spacing_mm: float | None = Field(default=None, description="mean distance of neighbouring points")
 
 
 class InspectionResult(JsonTable):
@@ -176,6 +177,7 @@ def _element(name: str, patch: MeasuredPatch) -> MeasuredElement:
         if shape is not None and shape.kind is ShapeKind.CONE
         else None,
         sd_mm=round(1000 * patch.sigma, 6),
+        spacing_mm=None if patch.spacing is None else round(1000 * patch.spacing, 4),
     )
 
 
@@ -218,7 +220,7 @@ def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
     """Return heading and rows of the table of characteristics."""
     heading = ["", "characteristic", "feature", "tolerance", "value", "U (k = 2)", "U/T", "verdict"]
     if result.is_predicted:
-        heading = [*heading[:4], *heading[5:7], "result"]
+        heading = [*heading[:4], "spacing of points", *heading[5:7], "result"]
     rows = []
     for each in result.characteristics:
         ratio = each.u_over_t
@@ -229,7 +231,10 @@ def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
             "-" if ratio is None else f"{ratio:.3f}",
             each.cause if each.cause and result.is_predicted else "met" if result.is_predicted else each.verdict,
         ]  # fmt: skip
-        rows.append([*cells[:4], *cells[5:]] if result.is_predicted else cells)
+        if result.is_predicted:
+            own = [e.spacing_mm for e in result.features if e.feature == each.feature and e.spacing_mm is not None]
+            cells[4] = f"{max(own):.2f} mm" if own else "-"
+        rows.append(cells)
     return heading, rows
 
 
