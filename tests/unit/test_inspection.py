@@ -182,6 +182,41 @@ class TestQif:
         with pytest.raises(FileError):
             read_qif(tmp_path / "bad.qif", block)
 
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ('"um">300<', '"um">x3<', "Flatness 41 (Flatness): its value is 'x3'"),
+            ('"um">300<', '"um">1e999<', "Flatness 41 (Flatness): its value is '1e999'"),
+            ("Value>16<", "Value><", "Diameter 42 (Diameter): its value is ''"),
+            ("<DatumLabel>A<", "<DatumLabel>a1<", "datum a1: its label has not one or two capital letters"),
+            ("<XYZ>0 0 30</XYZ>", "<XYZ>0 0</XYZ>", "coordinates '0 0', not three"),
+            ("<XYZ>0 0 30</XYZ>", "<XYZ>a b c</XYZ>", "its coordinate is 'a'"),
+            ("<UnitName>mm</UnitName>", "<UnitName></UnitName>", "the file states no unit of length"),
+        ],
+    )
+    def test_an_item_that_cannot_be_read_is_named(
+        self, block: Workpiece, tmp_path: Path, old: str, new: str, message: str
+    ) -> None:
+        text = bored_block_qif()
+        assert old in text
+        _, unsupported = self.read(block, tmp_path, text.replace(old, new))
+        assert any(message in each for each in unsupported), unsupported
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            (">0.001<", ">abc<", "factor of a unit is 'abc'"),
+            (">0.017453292519943<", ">0<", "factor of the unit 'degree' is 0"),
+            ('id="1200"', 'id="1100"', "has the id 1100 more than once"),
+        ],
+    )
+    def test_a_file_without_units_or_unique_ids_is_refused(
+        self, block: Workpiece, tmp_path: Path, old: str, new: str, message: str
+    ) -> None:
+        (tmp_path / "bad.qif").write_text(bored_block_qif().replace(old, new))
+        with pytest.raises(FileError, match=message):
+            read_qif(tmp_path / "bad.qif", block)
+
     def test_results_refer_to_the_characteristics_of_the_file(self, block: Workpiece, tmp_path: Path) -> None:
         plan, _ = self.read(block, tmp_path, bored_block_qif())
         done = inspected(block, points_on(block, sigma=1e-5), plan)
