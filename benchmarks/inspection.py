@@ -197,7 +197,7 @@ def as_built(bench: Bench) -> tuple[TriangleMesh, dict[int, float]]:
     for index, each in enumerate(bench.plan.characteristics):
         feature = bench.plan.feature(each.feature)
         shape, kind = feature.patches[0].shape, feature.kind
-        if shape is None or feature.name in used or (feature.datum and each.kind not in ("perpendicularity", "size")):
+        if shape is None or feature.name in used or (feature.datum and each.kind not in (*_TILTED, "size")):
             continue
         own = [np.unique(bench.part.faces[np.array(patch.triangles)]) for patch in feature.patches]
         every = np.concatenate(own)
