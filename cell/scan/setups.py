@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
 from cell.formatting import comma_list
-from cell.inspect.inspection import QIF_SOURCE, inspect_points, read_plan
+from cell.inspect.artefacts import QIF_SOURCE
+from cell.inspect.inspection import inspect_points, read_plan
 from cell.metrology import point_files
 from cell.metrology.inspect import REGISTERED, execution_points, points_of_setups
 from cell.metrology.reconstruct import reconstruct
