@@ -532,7 +532,7 @@ class TestCommonDatum:
 
 class TestSeveralSetups:
     def test_the_registration_of_set_ups_is_a_term_of_the_uncertainty(self, block: Workpiece) -> None:
-        """The lower half of the block is measured in another set-up, whose place is uncertain by 0.01 along x."""
+        """Half of the block is measured in another set-up, whose place is uncertain by 0.01 along x."""
         points = points_on(block, sigma=2e-6)
         first = points[:, 0] > 0.03
         sd = 1e-5
@@ -588,7 +588,9 @@ class TestResults:
         for files in (first, second):
             write: Callable[[str, bytes], None] = files.__setitem__
             inspected(block, points).write(write, None)
-        assert sorted(first) == ["characteristics.csv", "features.html", "features.json", "results.qif"]
+        assert sorted(first) == [
+            "characteristics.csv", "feature_points.csv", "features.html", "features.json", "results.qif",
+        ]  # fmt: skip
         assert first == second
         assert b"bore: position" in first["features.html"]
 
