@@ -26,7 +26,7 @@ from cell.inspect.evaluation import Evaluation, Measurement, verdict_of
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.inspection import read_plan
 from cell.inspect.measured import Association, MeasuredFeature, measure_patch
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.metrology.inspect import points_of_views
 from cell.part.workpiece import load
 from cell.runs.cell import read_cell
@@ -45,7 +45,7 @@ SCANS = 200
 STATED = 10
 POSE_MM, POSE_DEG = 0.01, 0.003
 LARGER_MM, TILT_DEG, MOVED_MM = 0.1, 0.1, 0.05
-RESOLUTION_DEG = 1.5  # of the rays on planned parts: enough points, and a scan takes a second
+_TILTED = ("perpendicularity", "parallelism", "angularity", "total-runout")
 _VIEWS = ((0, 0, 1), (0.5, 0.3, 1), (-0.5, 0.3, 1), (0.1, -0.7, 1), (1, 0, 0.3), (-1, 0, 0.3), (0, 1, 0.3),
           (0, -1, 0.3), (0.4, 0.2, -1), (-0.4, -0.2, -1))  # fmt: skip
 
@@ -69,7 +69,7 @@ class Bench:
     def predict(self) -> list[Measurement]:
         """Return the predicted uncertainties."""
         casters = [EmbreeRayCaster(self.part.vertices, self.part.faces), *filter(None, [self.occluders])]
-        features = predict_features(self.association, self.views[:, None], self.scanner, casters)
+        features = predict_features(self.association, [PlannedViews(self.views[:, None], self.scanner, casters)])
         return predicted_measurements(self.plan, self.association, features, self.pose_sd)
 
 
@@ -93,7 +93,7 @@ def block_bench() -> Bench:
 def run_bench(folder: Path) -> Bench:
     """Return the benchmark of a run with characteristics."""
     run = open_finished(folder)
-    cell, plan = read_cell(run, RESOLUTION_DEG), read_plan(run)
+    cell, plan = read_cell(run), read_plan(run)
     assert plan is not None, f"{folder} has no characteristics"
     T = run.T_object_scanner
     return Bench(run.reference, plan, Association(run.reference, plan), cell.scanner, T, cell.occluder_caster)
@@ -190,29 +190,31 @@ def _observed(error: Floats, *, is_zone: bool) -> float:
 def as_built(bench: Bench) -> tuple[TriangleMesh, dict[int, float]]:
     """Return the surface as built, and the true values of the changed characteristics by their index [mm].
 
-    The first cylinder with a size is larger, another plane with an orientation is tilted about its middle, and another
-    feature with a position is moved across its axis.
+    The first cylinder with a size is larger, another plane with an orientation or runout is tilted about its middle,
+    and another feature with a position or coaxiality is moved across its axis.
     """
     vertices, true, used = bench.part.vertices.copy(), dict[int, float](), set[str]()
     for index, each in enumerate(bench.plan.characteristics):
         feature = bench.plan.feature(each.feature)
         shape, kind = feature.patches[0].shape, feature.kind
-        if shape is None or feature.name in used or (feature.datum and each.kind != "perpendicularity"):
+        if shape is None or feature.name in used or (feature.datum and each.kind not in (*_TILTED, "size")):
             continue
         own = [np.unique(bench.part.faces[np.array(patch.triangles)]) for patch in feature.patches]
         every = np.concatenate(own)
         if each.kind == "size" and kind == "cylinder" and "size" not in used:
             vertices[every] += LARGER_MM / 2000 * shape.normals(bench.part.vertices[every])
             true[index], used = each.nominal + LARGER_MM, used | {"size", feature.name}
-        elif each.kind == "perpendicularity" and kind == "plane" and "tilt" not in used:
+        elif each.kind in _TILTED and kind == "plane" and "tilt" not in used:
             base = bench.plan.datum(each.datums[0]).patches[0].shape
             assert base is not None, "a datum has a shape"
-            along = base.axis
+            along = base.axis - (base.axis @ shape.axis) * shape.axis
+            length = float(np.linalg.norm(along))
+            along = along / length if length > 1e-6 else shape.frame[:, 0]
             slope = float(np.tan(np.radians(TILT_DEG)))
             vertices[every] += slope * ((bench.part.vertices[every] - shape.point) @ along)[:, None] * shape.axis
             extent = np.ptp(bench.part.vertices[every] @ along)
             true[index], used = float(1000 * extent * np.sin(np.radians(TILT_DEG))), used | {"tilt", feature.name}
-        elif each.kind == "position" and "moved" not in used:
+        elif each.kind in ("position", "coaxiality") and "moved" not in used:
             across = shape.axis if kind in ("plane", "width") else shape.frame[:, 0]
             vertices[every] += MOVED_MM / 1000 * across
             true[index], used = 2 * MOVED_MM, used | {"moved", feature.name}

@@ -39,6 +39,24 @@ def datum_residual(nominal: Shape, measured: Shape, length: float) -> Floats:
     return across if nominal.kind is ShapeKind.CIRCLE else np.array([*tilt, *across])
 
 
+def common_element(nominal: Shape, shapes: Sequence[Shape], ends: Sequence[Floats]) -> Shape:
+    """Return the common plane or axis of several features: nearest to their ends by least squares.
+
+    Args:
+        nominal: plane, or shape on the axis; the axis of the result points as its own.
+        shapes: plane or axis of each feature.
+        ends: (K, 3) ends of each axis, or corners of each plane, which are moved to it [m].
+    """
+    is_plane, points = nominal.kind is ShapeKind.PLANE, []
+    for shape, places in zip(shapes, ends, strict=True):
+        along = ((places - shape.point) @ shape.axis)[:, None]
+        points.append(places - along * shape.axis if is_plane else shape.point + along * shape.axis)
+    every = np.concatenate(points)
+    axis = np.linalg.svd(every - every.mean(axis=0), full_matrices=False)[2][2 if is_plane else 0]
+    kind = ShapeKind.PLANE if is_plane else ShapeKind.LINE
+    return Shape(kind, every.mean(axis=0), axis if axis @ nominal.axis >= 0 else -axis)
+
+
 def datum_frame(nominal: Sequence[Shape], measured: Sequence[Shape], length: float) -> Floats:
     """Return the motion (4, 4) of the measured part that brings its datums, in their order, to the nominal ones.
 

@@ -10,13 +10,13 @@ Conformity follows ISO 14253-1: pass if the value is inside the limits by more t
 than U, else undecided.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 
-from cell.inspect.alignment import datum_frame, moved
+from cell.inspect.alignment import common_element, datum_frame, moved
 from cell.inspect.features import Characteristic, InspectionPlan, distance_between
 from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch
 from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal
@@ -58,6 +58,7 @@ class Measurement:
         verdict: conformity.
         method: of the evaluation, in words.
         cause: reason for a missing value.
+        note: doubt about the value.
     """
 
     characteristic: Characteristic
@@ -66,6 +67,7 @@ class Measurement:
     verdict: Verdict
     method: str
     cause: str = ""
+    note: str = ""
 
 
 def verdict_of(value: float, uncertainty: float, lower: float | None, upper: float | None) -> Verdict:
@@ -167,10 +169,12 @@ class Evaluation:
             return Measurement(characteristic, None, None, Verdict.NOT_MEASURED, "", "; ".join(causes))
         model, shapes = self._model(characteristic), self._shapes(characteristic)
         g = model.components(shapes)
+        slopes = self._slopes(model, shapes, g)
         scale = 1000.0 if characteristic.unit == "mm" else float(np.degrees(1.0))
-        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, shapes, g)
+        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, slopes, g)
         verdict = verdict_of(value, uncertainty, characteristic.lower, characteristic.upper)
-        return Measurement(characteristic, value, uncertainty, verdict, model.method)
+        note = "; ".join(self._weak_features(characteristic, slopes))
+        return Measurement(characteristic, value, uncertainty, verdict, model.method, note=note)
 
     def values(self) -> list[float]:
         """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
@@ -200,9 +204,31 @@ class Evaluation:
 
     # Errors
 
-    def _uncertainty(self, model: _Model, shapes: Shapes, g: Floats) -> float:
+    def _slopes(self, model: _Model, shapes: Shapes, g: Floats) -> dict[tuple[str, int], Floats]:
+        """Return the derivative (m, 7) of the components by the changes of each shape."""
+        found = {}
+        for key, shape in shapes.items():
+            J = np.zeros((len(g), N_COMPONENTS))
+            used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
+            for component in used if self._cells(key).gain.any() else ():
+                change = np.zeros(N_COMPONENTS)
+                change[component] = _DIFFERENCE
+                low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
+                J[:, component] = (high - low) / (2 * _DIFFERENCE)
+            found[key] = J
+        return found
+
+    def _weak_features(self, c: Characteristic, slopes: Mapping[tuple[str, int], Floats]) -> Iterator[str]:
+        """Yield a sentence for each feature whose points do not average in a value, but are amplified."""
+        for key, J in slopes.items():
+            extent = 1.0 if c.unit == "mm" else float(np.linalg.norm(np.ptp(self._patch(key).corners, axis=0))) / 2
+            times = extent * float(np.linalg.norm(J @ self._cells(key).unit_noise, axis=1).max())
+            if times > 1:
+                yield f"nearly not determined: an error of the points on {key[0]} counts {times:.1f} times"
+
+    def _uncertainty(self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats) -> float:
         """Return the expanded uncertainty [m or rad]."""
-        gain = self._gain(model, shapes, g)
+        gain = self._gain(model, slopes, g)
         if model.reduce is _first or not gain.any():
             return 2 * float(np.linalg.norm(gain))
         # Draws of as few independent errors as there are components.
@@ -217,21 +243,14 @@ class Evaluation:
         # Errors alone make a zone or an offset from zero; the measured one contains its own already.
         return max(spread, scale * float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
 
-    def _gain(self, model: _Model, shapes: Shapes, g: Floats) -> Floats:
+    def _gain(self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats) -> Floats:
         """Return the change (m, K) of the components by independent errors of unit variance.
 
         The errors are those of the means of all cells, and of the views' poses, which all patches have in common.
         """
         noise, poses, start = [], np.zeros((len(g), 6 * len(self.pose_sd))), 0
-        for key, shape in shapes.items():
+        for key, J in slopes.items():
             cells = self._cells(key)
-            J = np.zeros((len(g), N_COMPONENTS))
-            used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
-            for component in used if cells.gain.any() else ():
-                change = np.zeros(N_COMPONENTS)
-                change[component] = _DIFFERENCE
-                low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
-                J[:, component] = (high - low) / (2 * _DIFFERENCE)
             poses += J @ cells.shape_lever.reshape(N_COMPONENTS, -1)
             if key not in model.cells:
                 noise.append(J @ cells.shape_noise)
@@ -268,8 +287,16 @@ class Evaluation:
         shape = patch.shape
         return Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis)) if shape is None else shape
 
-    def _datum_shape(self, name: str, shapes: Shapes | None) -> Shape:
-        """Return the measured (or, for None, nominal) element of a datum: of a width the middle plane."""
+    def _datum(self, datum: str, shapes: Shapes | None) -> Shape:
+        """Return the measured (or, for None, nominal) plane, axis or point of a datum; A-B is a common one."""
+        names = [feature.name for feature in self.plan.datum_features(datum)]
+        found = [self._element(name, shapes) for name in names]
+        if len(found) == 1:
+            return found[0]
+        return common_element(self._nominal((names[0], 0)), found, [self._patch((name, 0)).corners for name in names])
+
+    def _element(self, name: str, shapes: Shapes | None) -> Shape:
+        """Return the measured (or, for None, nominal) element of a feature: of a width the middle plane."""
         feature = self.features[name].feature
         first = self._nominal((name, 0)) if shapes is None else shapes[name, 0]
         if feature.kind == "circle":
@@ -290,13 +317,12 @@ class Evaluation:
 
     def frame(self, datums: Sequence[str], shapes: Shapes) -> Floats:
         """Return the motion (4, 4) that moves measured datums to nominal ones."""
-        names = [self.plan.datum(letter).name for letter in datums]
-        if not names:
+        if not datums:
             return np.eye(4)
-        measured = [self._datum_shape(name, shapes) for name in names]
-        key = (tuple(names), b"".join(np.array([*each.point, *each.axis]).tobytes() for each in measured))
+        measured = [self._datum(datum, shapes) for datum in datums]
+        key = (tuple(datums), b"".join(np.array([*each.point, *each.axis]).tobytes() for each in measured))
         if key not in self._frames:
-            nominal = [self._datum_shape(name, None) for name in names]
+            nominal = [self._datum(datum, None) for datum in datums]
             self._frames[key] = datum_frame(nominal, measured, self.nearest.mesh.diagonal / 2)
         return self._frames[key]
 
@@ -398,13 +424,13 @@ class Evaluation:
         own, kind = (c.feature, 0), self.features[c.feature].feature.kind
         nominal, corners = self._nominal(own), self._patch(own).corners
         if kind in ("plane", "width"):
-            middle = self._datum_shape(c.feature, None)
+            middle = self._element(c.feature, None)
             if kind == "width":
                 corners = np.concatenate([self._patch((c.feature, k)).corners for k in range(2)])
                 corners = corners - ((corners - middle.point) @ middle.axis)[:, None] * middle.axis
 
             def offsets(s: Shapes) -> Floats:
-                there = moved(self._datum_shape(c.feature, s), self.frame(c.datums, s))
+                there = moved(self._element(c.feature, s), self.frame(c.datums, s))
                 return np.asarray((there.point - corners) @ there.axis / (middle.axis @ there.axis))
 
             return _Model(offsets, _twice_largest, f"least-squares {'middle plane' if kind == 'width' else kind}")
@@ -422,8 +448,8 @@ class Evaluation:
         return _Model(ends, _twice_longest, f"least-squares {kind}, {where}")
 
     def _orientation(self, c: Characteristic) -> _Model:
-        own, datum = (c.feature, 0), self.plan.datum(c.datums[0]).name
-        nominal, base = self._nominal(own), self._datum_shape(datum, None)
+        own, datum = (c.feature, 0), c.datums[0]
+        nominal, base = self._nominal(own), self._datum(datum, None)
         angle = float(np.arccos(np.clip(nominal.axis @ base.axis, -1, 1)))
         extents = np.ptp(self._patch(own).corners @ nominal.axis)
 
@@ -431,7 +457,7 @@ class Evaluation:
             """Return the direction nearest to the axis at the nominal angle to the datum, or fixed by several."""
             if len(c.datums) > 1:
                 return np.asarray(self.frame(c.datums, s)[:3, :3].T @ nominal.axis)
-            a, n = self._datum_shape(datum, s).axis, s[own].axis
+            a, n = self._datum(datum, s).axis, s[own].axis
             across = n - (n @ a) * a
             length = float(np.linalg.norm(across))
             return np.asarray(np.cos(angle) * a + np.sin(angle) * across / max(length, 1e-300))
@@ -487,7 +513,7 @@ class Evaluation:
         return T, np.eye(len(every)) - J @ inverse
 
     def _runout(self, c: Characteristic) -> _Model:
-        own, datum = (c.feature, 0), self.plan.datum(c.datums[0]).name
+        own, datum = (c.feature, 0), c.datums[0]
         points, nominal = self._dense_points(own), self._nominal(own)
 
         def radial(axis: Shape) -> Floats:
@@ -495,14 +521,14 @@ class Evaluation:
             return np.asarray(np.linalg.norm(off - (off @ axis.axis)[:, None] * axis.axis, axis=1))
 
         def deviations(s: Shapes) -> Floats:
-            axis = self._datum_shape(datum, s)
+            axis = self._datum(datum, s)
             if nominal.kind is ShapeKind.PLANE:
                 return np.asarray((points - axis.point) @ axis.axis)
             return radial(axis)
 
         if c.kind == "total-runout":
             return _Model(deviations, _range, "range of cell means about the datum axis", (own,))
-        axis = self._datum_shape(datum, self._shapes(c))
+        axis = self._datum(datum, self._shapes(c))
         along = radial(axis) if nominal.kind is ShapeKind.PLANE else (points - axis.point) @ axis.axis
         method = f"range of cell means in {_SECTIONS} cross-sections about the datum axis"
         return _Model(deviations, _largest_range(_sections(along)), method, (own,))

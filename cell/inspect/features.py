@@ -22,6 +22,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints, Value
 
 _SAME = 2e-6  # m, and rad times the extent of a part of 1 m: surfaces of faces that differ by less are one
+_COMMON_MM, _COMMON_ANGLE = 0.01, 1e-4  # largest nominal offset and tilt [rad] of the features of a common datum
 _SHAPES = {
     SurfaceKind.PLANE: ShapeKind.PLANE,
     SurfaceKind.CYLINDER: ShapeKind.CYLINDER,
@@ -83,7 +84,7 @@ class Characteristic(JsonTable):
     nominal: float = Field(description="nominal value; 0 for a zone")
     lower: float | None = Field(description="smallest conforming value; null: no limit")
     upper: float | None = Field(description="largest conforming value; null: no limit")
-    datums: tuple[str, ...] = Field(description="letters in their order of precedence")
+    datums: tuple[str, ...] = Field(description="in their order of precedence; A-B is a common datum")
     to: str | None = Field(description="other feature of a distance or angle")
     criterion: Literal["least-squares", "circumscribed", "inscribed"] = Field(description="of a size")
     zone: Literal["planar", "cylindrical"] | None = Field(description="shape of the zone of a position or orientation")
@@ -134,11 +135,15 @@ class InspectionPlan(JsonTable):
         """Return the feature of a datum."""
         return next(each for each in self.features if each.datum == letter)
 
+    def datum_features(self, datum: str) -> list[Feature]:
+        """Return the features of a datum: of a common datum, such as A-B, those of all its letters."""
+        return [self.datum(letter) for letter in datum.split("-")]
+
     def features_of(self, characteristic: Characteristic) -> list[Feature]:
         """Return the features that a value depends on: its own, the other one, the datums."""
         names = [characteristic.feature, *([characteristic.to] if characteristic.to else [])]
-        found = [*map(self.feature, names), *map(self.datum, characteristic.datums)]
-        return list(dict.fromkeys(found))
+        datums = [feature for datum in characteristic.datums for feature in self.datum_features(datum)]
+        return list(dict.fromkeys([*map(self.feature, names), *datums]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,6 +296,9 @@ def _characteristic(
     feature = named[table.name]
     where = f"the characteristic {given.name or given.kind} of '{feature.name}'"
     _require_suitable(where, given, feature)
+    for datum in given.datums:
+        if "-" in datum:
+            _require_common(where, datum, [each for each in named.values() if each.datum in datum.split("-")])
     nominal, notes = given.nominal, [given.note] if given.note else []
     unit: Literal["mm", "deg"] = "mm"
     if given.kind == "angle" or (given.kind == "size" and feature.kind == "cone"):
@@ -352,6 +360,24 @@ def _require_suitable(where: str, given: CharacteristicTable, feature: Feature) 
         raise SceneError(f"{where} has the criterion {given.criterion}, which only diameters have")
     if given.kind == "angle" and given.to is None and feature.kind != "width":
         raise SceneError(f"{where} needs the name of another feature as 'to'")
+
+
+def _require_common(where: str, datum: str, features: Sequence[Feature]) -> None:
+    """Refuse a common datum whose features have neither one axis nor one plane."""
+    first, *others = (feature.patches[0] for feature in features)
+    offs = [np.array(each.point_mm) - np.array(first.point_mm) for each in others]
+    kinds = {feature.kind for feature in features}
+    if kinds == {"plane"}:
+        is_common = all(abs(float(off @ np.array(first.axis))) < _COMMON_MM for off in offs)
+    else:
+        is_common = kinds <= {"cylinder", "cone"} and all(
+            float(np.linalg.norm(np.cross(first.axis, off))) < _COMMON_MM for off in offs
+        )
+    if not is_common or any(float(np.linalg.norm(np.cross(first.axis, each.axis))) > _COMMON_ANGLE for each in others):
+        raise SceneError(
+            f"{where} refers to the common datum {datum}, whose features have neither one axis nor one plane, which is "
+            "not supported; give several datums in their order"
+        )
 
 
 def _nominal_value(given: CharacteristicTable, feature: Feature, other: Feature | None) -> float:

@@ -1,6 +1,6 @@
 """Inspection of points: characteristics of a scene or a QIF file, alignment, evaluation, files of the results."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,21 +11,21 @@ from cell.errors import SceneError
 from cell.files import read_bytes
 from cell.inspect import pictures, qif
 from cell.inspect.alignment import fit_reference_points
-from cell.inspect.artefacts import FEATURES, PAGE, QIF_RESULTS, RESULTS, TABLE
-from cell.inspect.evaluation import Evaluation
+from cell.inspect.artefacts import FEATURES, PAGE, POINTS, QIF_RESULTS, RESULTS, TABLE
+from cell.inspect.evaluation import Evaluation, Measurement
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
+from cell.inspect.qif_document import document_of
 from cell.inspect.qif_results import qif_results
-from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown
+from cell.inspect.results import InspectionResult, as_csv, inspection_result, markdown, points_csv
 from cell.part.workpiece import Workpiece
 from cell.runs.run import Run
 from cell.runs.schema import parsed
 from cell.scene.model import Region, Scene
 from planner.geometry.mesh import TriangleMesh
-from planner.ports import RayCaster, Scanner
 from planner.registration.cloud import PointCloud
-from planner.registration.registration import register
+from planner.registration.registration import fit_majority, register
 from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
@@ -124,17 +124,22 @@ class Inspected:
     reference: TriangleMesh
 
     def write(self, write: Callable[[str, bytes], None], source: bytes | None) -> None:
-        """Write features.json, the table, the page, and QIF results if the characteristics are from a QIF file.
+        """Write features.json, the tables of characteristics and points, the page and the QIF results.
 
         Args:
             write: writes a file by its name.
-            source: the QIF file.
+            source: the QIF file of the characteristics; None without one.
         """
         result = self.result
         write(RESULTS, (result.model_dump_json(indent=2) + "\n").encode())
         write(TABLE, as_csv(result).encode())
+        write(POINTS, points_csv(self.features).encode())
         write(PAGE, pictures.features_page(self.reference, self.plan, result, self.features).encode())
-        if source is not None and any(each.source_id for each in result.characteristics):
+        if source is None:
+            source, ids = document_of(self.plan)
+            rows = [each.model_copy(update={"source_id": ids.get(each.id)}) for each in result.characteristics]
+            result = result.model_copy(update={"characteristics": tuple(rows)})
+        if any(each.source_id for each in result.characteristics):
             write(QIF_RESULTS, qif_results(source, result))
 
     def section(self) -> list[str]:
@@ -152,6 +157,7 @@ def inspect_points(
     is_simulated: bool,
     on_reference: bool = False,
     aligned: str = "",
+    T_located: Floats | None = None,
     notes: tuple[str, ...] = (),
 ) -> Inspected:
     """Align points, associate them with the features, and evaluate the characteristics.
@@ -165,6 +171,7 @@ def inspect_points(
         is_simulated: whether they are simulated.
         on_reference: whether they were simulated on the triangles of the reference; these approximate its surfaces.
         aligned: alignment that the points have already, in words.
+        T_located: (4, 4) motion of the points to the part that was made before; None: none.
         notes: for the results.
     """
     association = Association(reference, plan)
@@ -181,7 +188,7 @@ def inspect_points(
     measurements = Evaluation(plan, features, association.nearest, measured.pose_sd).measure_all()
     result = inspection_result(
         plan, measurements, features, part=part, source=source, alignment="; ".join(filter(None, [aligned, words])),
-        is_simulated=is_simulated, notes=notes,
+        is_simulated=is_simulated, T_part_points=T if T_located is None else T @ T_located, notes=notes,
     )  # fmt: skip
     return Inspected(result, features, plan, reference)
 
@@ -197,8 +204,10 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
         normals = association.nearest.normals(association.nearest.closest(chosen))
         cloud = PointCloud(chosen, normals, np.zeros(len(chosen), dtype=np.int32))
         found = register([cloud], association.nearest).scans[0]
-        how = "robust weights" if found.is_corrected else f"not applied: {found.status.value}"
-        return found.T_correction, f"best fit of all points, {how}{datums}"
+        if not found.is_corrected:
+            return found.T_correction, f"best fit of all points, not applied: {found.status.value}{datums}"
+        reach = association.plan.reach_mm / 1000
+        return fit_majority(chosen, association.nearest, found.T_correction, reach), f"best fit of most points{datums}"
     nominal = np.array([point for point, _, _ in plan.rps]) / 1000
     directions = np.array([direction for _, direction, _ in plan.rps], dtype=np.float64)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -217,29 +226,44 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
 
 
 def predict_plan(
-    plan: InspectionPlan,
-    reference: TriangleMesh,
-    T_object_poses: Floats,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-    pose_sd: tuple[float, float],
+    plan: InspectionPlan, reference: TriangleMesh, setups: Sequence[PlannedViews], pose_sd: tuple[float, float],
     part: str,
-) -> InspectionResult:
-    """Predict the uncertainty of the characteristics by the views of a plan.
+) -> InspectionResult:  # fmt: skip
+    """Predict the uncertainty of the characteristics by the views of one or several set-ups.
 
     Args:
         plan: features and characteristics.
         reference: the part.
-        T_object_poses: (n, K, 4, 4) poses of the views [m].
-        scanner: with a model of the standard deviation of its points.
-        casters: of the part and of occluders.
+        setups: their views.
         pose_sd: standard deviations of executed poses [mm, deg].
         part: its name.
     """
-    association = Association(reference, plan)
-    features = predict_features(association, T_object_poses, scanner, casters)
-    sd = np.tile([pose_sd[0] / 1000, np.radians(pose_sd[1])], (len(T_object_poses), 1))
+    association, count = Association(reference, plan), sum(len(each.T_object_poses) for each in setups)
+    features = predict_features(association, setups)
+    sd = np.tile([pose_sd[0] / 1000, np.radians(pose_sd[1])], (count, 1))
+    measurements = predicted_measurements(plan, association, features, sd)
+    if len(setups) > 1:
+        own = [predict_features(association, [each]) for each in setups]
+        measurements = [_with_setups(plan, each, own) for each in measurements]
+    source = f"{count} planned views" + (f" in {len(setups)} set-ups" if len(setups) > 1 else "")
     return inspection_result(
-        plan, predicted_measurements(plan, association, features, sd), features, part=part,
-        source=f"{len(T_object_poses)} planned views", alignment="", is_simulated=False, is_predicted=True,
-    )  # fmt: skip
+        plan, measurements, features, part=part, source=source, alignment="", is_simulated=False, is_predicted=True
+    )
+
+
+def _with_setups(
+    plan: InspectionPlan, measurement: Measurement, setups: Sequence[Mapping[str, MeasuredFeature]]
+) -> Measurement:
+    """Return a predicted measurement with a cause if no set-up measures all its features."""
+    names = [feature.name for feature in plan.features_of(measurement.characteristic)]
+    measuring = {
+        name: [k for k, found in enumerate(setups, 1) if all(p.is_measured for p in found[name].patches)]
+        for name in names
+    }
+    if measurement.value is None or set.intersection(*map(set, measuring.values())):
+        return measurement
+    where = ", ".join(
+        f"{name} in {' and '.join(map(str, numbers)) or 'parts of several'}" for name, numbers in measuring.items()
+    )
+    cause = f"no set-up measures all its features ({where}): the registration of the set-ups adds to U"
+    return replace(measurement, cause="; ".join(filter(None, [measurement.cause, cause])))

@@ -45,6 +45,7 @@ class MeasuredPoints(Value):
         origins: (V, 3) scanner of each view, about which its pose is uncertain [m].
         pose_sd: (V, 2) standard deviation of its position along each axis [m] and rotation about each axis [rad].
         weight: (N,) number of points that each stands for; None: one.
+        setup: (N,) row of `origins` and `pose_sd` with the registration of its set-up; None: one set-up.
     """
 
     points: Annotated[Floats, "N 3"]
@@ -53,6 +54,12 @@ class MeasuredPoints(Value):
     origins: Annotated[Floats, "V 3"]
     pose_sd: Annotated[Floats, "V 2"]
     weight: Annotated[Floats, "N"] | None = None
+    setup: Annotated[Ints, "N"] | None = None
+
+    @property
+    def causes(self) -> list[Ints]:
+        """Rows (N,) of `origins` and `pose_sd` with the poses that move each point: of its view, of its set-up."""
+        return [self.view] if self.setup is None else [self.view, self.setup]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +74,7 @@ class Cells(Value):
         gain: (7, C) change of the fitted shape per displacement of a cell along its normal.
         is_dense: (C,) whether a cell has enough points for form.
         shape_noise: (7, K) change of the fitted shape by independent errors of unit variance of the points.
+        unit_noise: (7, K) the same for errors of 1 m of each point.
         shape_lever: (7, V, 6) change of the fitted shape per translation and rotation of each view.
     """
 
@@ -77,6 +85,7 @@ class Cells(Value):
     gain: Annotated[Floats, "7 C"]
     is_dense: Annotated[Bools, "C"]
     shape_noise: Annotated[Floats, "7 K"]
+    unit_noise: Annotated[Floats, "7 K"]
     shape_lever: Annotated[Floats, "7 V 6"]
 
 
@@ -96,6 +105,7 @@ class MeasuredPatch:
         doubts: reasons why the shape is not determined.
         missed: demands on a plan that are not met.
         mean_views: of the measured surface.
+        area: of the patch [m^2].
     """
 
     patch: Patch
@@ -109,6 +119,24 @@ class MeasuredPatch:
     doubts: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
     mean_views: float = 0.0
+    area: float = 0.0
+
+    @property
+    def spacing(self) -> float | None:
+        """Mean distance of neighbouring points [m]; None without points."""
+        return float(np.sqrt(self.area * self.share / self.n_points)) if self.n_points else None
+
+    @property
+    def deviations(self) -> Floats:
+        """(C,) distances of its cells from the fitted element; of a mesh from its mean plane [m]."""
+        assert self.cells is not None, "a patch without points has no deviations"
+        assert self.shape is not None, "a patch with cells has a shape"
+        return self.shape.distances(self.cells.points)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether its points determine it and meet the demands of a plan."""
+        return not self.doubts and not self.missed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +261,7 @@ def measure_patch(
         nominal = Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
         cells, sigma = _cells(measured, rows, nominal, normals, off, gain, area), float(np.std(off))
         share = _share(association, surface, measured.points[rows])
-        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma)
+        return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma, area=area)
     weight = measured.weight
     found = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
     keep = _inliers(found.residuals)
@@ -246,7 +274,7 @@ def measure_patch(
     share = _share(association, surface, measured.points[rows])
     return MeasuredPatch(
         patch, found.shape, cells, corners, len(rows), count - len(rows), share, found.sigma,
-        found.doubts,
+        found.doubts, area=area,
     )  # fmt: skip
 
 
@@ -322,7 +350,7 @@ def _cells(
     scatter: float = 0.0,
 ) -> Cells:  # fmt: skip
     """Combine the points of a patch in cells."""
-    points, view = measured.points[rows], measured.view[rows]
+    points = measured.points[rows]
     weight = np.ones(len(rows)) if measured.weight is None else measured.weight[rows]
     feet = points - residuals[:, None] * normals
     size = float(np.sqrt(area / min(CELLS, max(weight.sum() / _CELL_POINTS, 12))))
@@ -332,18 +360,18 @@ def _cells(
     def mean(values: Floats) -> Floats:
         return np.asarray(np.bincount(cell, weights=weight * values) / count)
 
-    columns = np.hstack([normals, np.cross(points - measured.origins[view], normals)])
-    variance = measured.sigma[rows] ** 2
-    of_poses = (columns**2 @ np.repeat(measured.pose_sd.T**2, 3, axis=0))[np.arange(len(rows)), view]
+    variance, of_poses = measured.sigma[rows] ** 2, np.zeros(len(rows))
+    lever, shape_lever = np.zeros((len(count), n_views, 6)), np.zeros((N_COMPONENTS, n_views, 6))
+    for pose in (each[rows] for each in measured.causes):
+        columns = np.hstack([normals, np.cross(points - measured.origins[pose], normals)])
+        of_poses += (columns**2 * np.repeat(measured.pose_sd[pose] ** 2, 3, axis=1)).sum(axis=1)
+        np.add.at(lever, (cell, pose), weight[:, None] * columns)
+        for own, row in zip(shape_lever, gain, strict=True):
+            np.add.at(own, pose, row[:, None] * columns)
     # Scatter beyond the models of scanner and poses, or in their absence, is noise of the points.
     known = float(np.average(variance, weights=weight))
     left = max(scatter**2 - float(np.average(of_poses, weights=weight)), 0.0)
     variance = variance * max(1.0, left / known) if known > 0 else np.full(len(rows), left)
-    lever = np.zeros((len(count), n_views, 6))
-    np.add.at(lever, (cell, view), weight[:, None] * columns)
-    shape_lever = np.zeros((N_COMPONENTS, n_views, 6))
-    for own, row in zip(shape_lever, gain, strict=True):
-        np.add.at(own, view, row[:, None] * columns)
     return Cells(
         feet[first] + mean(residuals)[:, None] * normals[first],
         normals[first],
@@ -352,6 +380,7 @@ def _cells(
         np.stack([np.bincount(cell, weights=row) for row in gain]),
         count >= SPARSE * np.median(count),
         np.asarray(np.linalg.qr((gain * np.sqrt(variance / weight)).T, mode="r")).T,
+        np.asarray(np.linalg.qr((gain / np.sqrt(weight)).T, mode="r")).T,
         shape_lever,
     )
 

@@ -54,6 +54,7 @@ def features_page(
         for each in result.characteristics:
             if each.feature == feature.name:
                 value = each.cause or f"{each.value:.4f} ± {each.expanded_uncertainty:.4f} {each.unit}: {each.verdict}"
+                value += f" ({each.note})" if each.note else ""
                 rows.append((f"{each.name} ({each.kind})", f"{tolerance_text(each)} → {value}"))
         items.append({"number": number, "rows": rows})
     source = "simulated points" if result.is_simulated else result.source
@@ -100,11 +101,8 @@ def _deviations(
         if not cells or not len(own):
             continue
         points = np.concatenate([patch.cells.points for patch in cells if patch.cells is not None])
-        off = [
-            shape.distances(patch.cells.points) if (shape := patch.shape) and patch.cells else np.empty(0)
-            for patch in cells
-        ]
-        found[own] = 1000 * np.concatenate(off)[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
+        off = np.concatenate([patch.deviations for patch in cells])
+        found[own] = 1000 * off[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
     return found
 
 

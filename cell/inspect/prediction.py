@@ -7,7 +7,7 @@ predicted uncertainty is that of a scan without systematic errors. Object frame,
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -71,24 +71,32 @@ class PointDensity:
         return np.asarray(cosine / (distance**2 * self._solid[self._tree.query(rays)[1]]))
 
 
-def predict_features(
-    association: Association,
-    T_object_poses: Floats,
-    scanner: Scanner,
-    casters: Sequence[RayCaster],
-) -> dict[str, MeasuredFeature]:
-    """Return the features with the cells that views yield.
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedViews:
+    """Views of a set-up.
 
-    Args:
-        association: features on the reference.
+    Attributes:
         T_object_poses: (n, K, 4, 4) poses of the views [m].
         scanner: with a model of the standard deviation of its points.
         casters: of the part and of occluders.
     """
-    density, found, rng = PointDensity(scanner), {}, np.random.default_rng(_SEED)
+
+    T_object_poses: Floats
+    scanner: Scanner
+    casters: Sequence[RayCaster]
+
+    @property
+    def T_object_scanner(self) -> Floats:
+        """(n, 4, 4) pose of each view, of a sweep in its middle."""
+        return self.T_object_poses[:, self.T_object_poses.shape[1] // 2]
+
+
+def predict_features(association: Association, setups: Sequence[PlannedViews]) -> dict[str, MeasuredFeature]:
+    """Return the features with the cells that the views of one or several set-ups yield."""
+    densities, found, rng = [PointDensity(each.scanner) for each in setups], {}, np.random.default_rng(_SEED)
     for feature in association.plan.features:
         patches = [
-            _predict_patch(association, feature, patch, surface, T_object_poses, scanner, casters, density, rng)
+            _predict_patch(association, feature, patch, surface, setups, densities, rng)
             for patch, surface in zip(feature.patches, association.surfaces[feature.name], strict=True)
         ]
         found[feature.name] = MeasuredFeature(feature, tuple(patches))
@@ -96,8 +104,8 @@ def predict_features(
 
 
 def _predict_patch(
-    association: Association, feature: Feature, patch: Patch, surface: PatchSurface, T_object_poses: Floats,
-    scanner: Scanner, casters: Sequence[RayCaster], density: PointDensity, rng: np.random.Generator,
+    association: Association, feature: Feature, patch: Patch, surface: PatchSurface, setups: Sequence[PlannedViews],
+    densities: Sequence[PointDensity], rng: np.random.Generator,
 ) -> MeasuredPatch:  # fmt: skip
     own = TriangleMesh(association.reference.vertices, association.reference.faces[surface.triangles])
     drawn = draw_samples(own, own, _DRAWN, rng)
@@ -107,7 +115,8 @@ def _predict_patch(
     frame = patch.shape or Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
     cell, rows, _ = cells_of_points(drawn.points, frame, size)
     nodes = replace(pick_samples(drawn, rows), areas=(area * np.bincount(cell)).astype(np.float64))
-    count, variance = _yield(nodes, T_object_poses, scanner, casters, density)
+    yields = [_yield(nodes, each, density) for each, density in zip(setups, densities, strict=True)]
+    count, variance = (np.hstack(each) for each in zip(*yields, strict=True))
     weight = nodes.areas[:, None] * count
     seen = np.asarray((count > 0).any(axis=1))
     if not seen.any():
@@ -115,7 +124,7 @@ def _predict_patch(
         return MeasuredPatch(patch, None, None, corners, doubts=("no view of the plan measures it",))
     weight *= min(1.0, MAX_POINTS / weight.sum())
     row, view = np.nonzero(count)
-    origins = T_object_poses[:, T_object_poses.shape[1] // 2, :3, 3]
+    origins = np.concatenate([each.T_object_scanner[:, :3, 3] for each in setups])
     points = nodes.points
     if patch.shape is not None:
         points = points - patch.shape.distances(points)[:, None] * patch.shape.normals(points)
@@ -129,17 +138,14 @@ def _predict_patch(
     return replace(found, n_points=int(weight.sum()), share=share, missed=missed, mean_views=mean_views)
 
 
-def _yield(
-    samples: SurfaceSamples, T_object_poses: Floats, scanner: Scanner, casters: Sequence[RayCaster],
-    density: PointDensity,
-) -> tuple[Floats, Floats]:  # fmt: skip
+def _yield(samples: SurfaceSamples, views: PlannedViews, density: PointDensity) -> tuple[Floats, Floats]:
     """Return points per area (S, n) of each view at each sample, and their variance along the normal [m^2]."""
-    seen = find_measured(T_object_poses, samples, scanner, casters, each=True)
+    scanner = views.scanner
+    seen = find_measured(views.T_object_poses, samples, scanner, views.casters, each=True)
     count, variance = np.zeros(seen.shape), np.zeros(seen.shape)
     law = getattr(scanner, "sigma", None)
-    for view in range(seen.shape[1]):
+    for view, T in enumerate(views.T_object_scanner):
         rows = np.flatnonzero(seen[:, view])
-        T = T_object_poses[view, T_object_poses.shape[1] // 2]
         points = (samples.points[rows] - T[:3, 3]) @ T[:3, :3]
         normals = samples.normals[rows] @ T[:3, :3]
         count[rows, view] = density(points, normals)
@@ -159,7 +165,7 @@ def predicted_measurements(
     found = []
     for characteristic in plan.characteristics:
         measurement = evaluation.measure(characteristic)
-        causes = [measurement.cause] if measurement.cause else []
+        causes = [*filter(None, [measurement.cause, measurement.note])]
         for feature in plan.features_of(characteristic):
             causes += [f"{feature.name}: {each}" for patch in features[feature.name].patches for each in patch.missed]
         tolerance, uncertainty = characteristic.tolerance, measurement.expanded_uncertainty

@@ -5,6 +5,8 @@ CAD face of the part on the same surface at whose mesh vertices the corners of t
 their attribute names, else the primary unit of the file. Every characteristic is either read or named in `unsupported`.
 """
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +26,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
+_NAME = 60  # characters; longer names are cut
 _SURFACES = {
     "Plane23": SurfaceKind.PLANE,
     "Cylinder23": SurfaceKind.CYLINDER,
@@ -87,6 +90,9 @@ def parse(path: Path) -> ElementTree.Element:
         raise FileError(f"{path} is not a QIF 3 document; export it as QIF 3")
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
+    ids = Counter(each.get("id") for each in root.iter() if each.get("id"))
+    if twice := next((number for number, count in ids.items() if count > 1), None):
+        raise FileError(f"{path} has the id {twice} more than once, so references to it are ambiguous; export it again")
     return root
 
 
@@ -98,7 +104,20 @@ def read_qif(path: Path, part: Workpiece) -> QifContent:
     """
     if part.cad is None:
         raise FileError(f"{path} names CAD faces, and {part.name} is a mesh; give the part as STEP")
-    return _Reader(parse(path), part, part.cad).read()
+    try:
+        return _Reader(parse(path), part, part.cad).read()
+    except _UnsupportedError as error:
+        raise FileError(f"{path} cannot be read: {error}; export it again") from error
+
+
+def _number(text: str | None, name: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise _UnsupportedError(f"its {name} is '{text or ''}', and a number is needed")
+    return value
 
 
 class _Reader:
@@ -108,6 +127,8 @@ class _Reader:
         self._root, self._cad = root, cad
         self._by_id = {each.get("id"): each for each in root.iter() if each.get("id")}
         self._linear, self._primary = self._units("LinearUnit")
+        angles = [root.find(f"FileUnits/PrimaryUnits/{tag}") for tag in ("PMIAngularUnit", "AngularUnit")]
+        self._angular = next((self._factor(each) for each in angles if each is not None), 1.0)
         self._faces = _FaceFinder(self._by_id, self._primary, part, cad)
         self._tables: dict[tuple[int, ...], dict[str, object]] = {}
         self._found = QifContent()
@@ -145,12 +166,19 @@ class _Reader:
         """Return the factor of each unit to metres, and the name of the primary unit."""
         factors: dict[str, float] = {}
         for unit in self._root.iterfind(f"FileUnits//{tag}"):
-            factors[unit.findtext("UnitName") or ""] = float(unit.findtext("UnitConversion/Factor") or 1.0)
+            factors[unit.findtext("UnitName") or ""] = self._factor(unit)
         primary = self._root.findtext(f"FileUnits/PrimaryUnits/{tag}/UnitName") or ""
         return factors, primary
 
+    def _factor(self, unit: ElementTree.Element) -> float:
+        """Return the factor of a unit to the SI unit."""
+        if (value := _number(unit.findtext("UnitConversion/Factor", "1"), "factor of a unit")) <= 0:
+            raise _UnsupportedError(f"its factor of the unit '{unit.findtext('UnitName')}' is {value:g}, not above 0")
+        return value
+
     def _name(self, nominal: ElementTree.Element) -> str:
-        return (nominal.findtext("Name") or f"characteristic {nominal.get('id')}").replace("|", "/").strip()
+        name = (nominal.findtext("Name") or "").replace("|", "/")
+        return " ".join(name.split())[:_NAME] or f"characteristic {nominal.get('id')}"
 
     def _element(self, number: str | None) -> ElementTree.Element:
         if (found := self._by_id.get(number)) is None:
@@ -159,25 +187,29 @@ class _Reader:
 
     def _length_mm(self, element: ElementTree.Element, kind: str) -> float:
         unit = element.get("linearUnit") or self._primary
-        if unit not in self._linear:
-            raise _UnsupportedError(f"the file does not define the unit '{unit}'")
+        if not unit or unit not in self._linear:
+            raise _UnsupportedError(
+                f"the file does not define the unit '{unit}'" if unit else "the file states no unit of length"
+            )
         self._linear_units_used.setdefault(unit, []).append(kind)
-        return round(float(element.text or "nan") * self._linear[unit] * 1000, 12)
+        return round(_number(element.text, "value") * self._linear[unit] * 1000, 12)
 
     def _angle_deg(self, element: ElementTree.Element) -> float:
-        unit = self._root.find("FileUnits/PrimaryUnits/PMIAngularUnit")
-        if unit is None:
-            unit = self._root.find("FileUnits/PrimaryUnits/AngularUnit")
-        factor = 1.0 if unit is None else float(unit.findtext("UnitConversion/Factor") or 1.0)
-        return round(float(np.degrees(float(element.text or "nan") * factor)), 9)
+        return round(float(np.degrees(_number(element.text, "value") * self._angular)), 9)
 
     def _add_datum(self, letter: str, definition: ElementTree.Element) -> None:
+        if not re.fullmatch("[A-Z]{1,2}", letter):
+            raise _UnsupportedError("its label has not one or two capital letters")
         ids = [each.text for each in definition.iterfind("FeatureNominalIds/Id")]
         if not ids:
             raise _UnsupportedError("it is defined by datum targets, which are not supported")
-        if len(ids) > 1:
-            raise _UnsupportedError("it is a common datum of several features, which is not supported")
-        table = self._feature(self._element(ids[0]))
+        if len(ids) == 1:
+            table = self._feature(self._element(ids[0]))
+        else:  # faces on one surface are one feature
+            groups = self._faces.groups([n for each in ids for n in self._table_faces(self._element(each))])
+            if len(groups) > 1:
+                raise _UnsupportedError(f"its features lie on {len(groups)} surfaces, and one is supported")
+            table = self._table(*groups[0], name=f"datum {letter}")
         if table.get("datum"):
             raise _UnsupportedError(f"its feature is also the datum {table['datum']}")
         table["datum"] = letter
@@ -272,12 +304,11 @@ class _Reader:
         datums = frame.findall("Datums/Datum")
         for datum in sorted(datums, key=lambda each: order.get(each.findtext("Precedence/PrecedenceEnum") or "", 3)):
             ids = [each.text or "" for each in datum.iter("DatumDefinitionId")]
-            if len(ids) != 1:
-                raise _UnsupportedError("it refers to a common datum, which is not supported")
-            if ids[0] not in self._letters:
-                label = self._element(ids[0]).findtext("DatumLabel")
-                raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
-            yield self._letters[ids[0]]
+            for each in ids:
+                if each not in self._letters:
+                    label = self._element(each).findtext("DatumLabel")
+                    raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
+            yield "-".join(self._letters[each] for each in ids)
 
 
 class _FaceFinder:
@@ -349,5 +380,7 @@ class _FaceFinder:
                     vertex = None if ends is None else self._by_id.get(ends.findtext(end))
                     point = None if vertex is None else self._by_id.get(vertex.findtext("Point/Id"))
                     if point is not None and (text := point.findtext("XYZ")):
-                        points[text] = [float(word) for word in text.split()]
+                        points[text] = [_number(word, "coordinate") for word in text.split()]
+                        if len(points[text]) != 3:
+                            raise _UnsupportedError(f"a corner of its face has the coordinates '{text}', not three")
         return self._metres * np.array(list(points.values())).reshape(-1, 3)

@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cell.errors import FileError
+from cell.inspect.qif_document import NAMESPACE, number_text
 from cell.inspect.results import InspectionResult, MeasuredCharacteristic
 
-_NAMESPACE = "http://qifstandards.org/xsd/qif3"
 _STATUS = {
     "pass": "PASS", "fail": "FAIL", "undecided": "INDETERMINATE", "no tolerance": "NOT_ANALYZED",
     "not measured": "NOT_ANALYZED",
@@ -29,7 +29,7 @@ def qif_results(source: bytes, result: InspectionResult) -> bytes:
     Raises:
         FileError: if the document has results already.
     """
-    ElementTree.register_namespace("", _NAMESPACE)
+    ElementTree.register_namespace("", NAMESPACE)
     root = ElementTree.fromstring(source)
     if root.find(_tag("Results")) is not None:
         raise FileError("the QIF file has results already; give the file without results")
@@ -73,7 +73,7 @@ def qif_results(source: bytes, result: InspectionResult) -> bytes:
 
 
 def _tag(name: str) -> str:
-    return f"{{{_NAMESPACE}}}{name}"
+    return f"{{{NAMESPACE}}}{name}"
 
 
 def _add(parent: ElementTree.Element, tag: str, /, **attributes: str) -> ElementTree.Element:
@@ -99,8 +99,8 @@ def _add_value(parent: ElementTree.Element, each: MeasuredCharacteristic, angle:
     factor, uncertainty = (1.0, {"linearUnit": "mm"}) if each.unit == "mm" else (angle, {})
     if each.expanded_uncertainty is not None:
         half = factor * each.expanded_uncertainty / 2
-        uncertainty |= {"combinedUncertainty": _number(half), "meanError": "0"}
-    _add(parent, "Value", **uncertainty).text = _number(factor * each.value)
+        uncertainty |= {"combinedUncertainty": number_text(half), "meanError": "0"}
+    _add(parent, "Value", **uncertainty).text = number_text(factor * each.value)
 
 
 def _angle_factor(root: ElementTree.Element) -> float:
@@ -112,7 +112,3 @@ def _angle_factor(root: ElementTree.Element) -> float:
             factor = unit.findtext(_tag("UnitConversion") + "/" + _tag("Factor"))
             return float(np.radians(1.0) / float(factor or 1.0))
     return float(np.radians(1.0))
-
-
-def _number(value: float) -> str:
-    return f"{value:.9f}".rstrip("0").rstrip(".") or "0"

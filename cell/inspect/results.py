@@ -14,6 +14,7 @@ from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import MeasuredFeature, MeasuredPatch
 from cell.runs.schema import JsonTable, Triple
 from planner.fitting.shapes import ShapeKind
+from planner.values import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +42,7 @@ class MeasuredCharacteristic(JsonTable):
     expanded_uncertainty: float | None = Field(description="U, k = 2")
     verdict: Literal["pass", "fail", "undecided", "no tolerance", "not measured"]
     method: str = Field(description="evaluation of the value")
-    note: str = Field(description="deviation from the standard in its evaluation")
+    note: str = Field(description="deviation from the standard, or doubt about the value")
     cause: str = Field(description="reason for a missing value")
     source_id: str | None = Field(description="id in the QIF file")
 
@@ -67,6 +68,7 @@ class MeasuredElement(JsonTable):
     diameter_mm: float | None
     full_angle_deg: float | None
     sd_mm: float = Field(description="standard deviation of the points about the element")
+    spacing_mm: float | None = Field(default=None, description="mean distance of neighbouring points")
 
 
 class InspectionResult(JsonTable):
@@ -78,6 +80,9 @@ class InspectionResult(JsonTable):
     is_predicted: bool = Field(description="whether it is the prediction of a plan, whose values are nominal")
     characteristics_source: str = Field(description="origin of the characteristics")
     alignment: str = Field(description="of points without datums, in words")
+    T_part_points: tuple[tuple[float, float, float, float], ...] | None = Field(
+        default=None, description="motion of the points to the part by search and alignment, rows [mm]; null: none"
+    )
     rule: str = Field(description="decision rule of the verdicts")
     characteristics: tuple[MeasuredCharacteristic, ...]
     features: tuple[MeasuredElement, ...]
@@ -120,6 +125,7 @@ def inspection_result(
     alignment: str,
     is_simulated: bool,
     is_predicted: bool = False,
+    T_part_points: Floats | None = None,
     notes: Sequence[str] = (),
 ) -> InspectionResult:
     """Return the results as values of features.json."""
@@ -130,6 +136,7 @@ def inspection_result(
         is_predicted=is_predicted,
         characteristics_source=plan.source,
         alignment=alignment,
+        T_part_points=None if T_part_points is None else _rows(T_part_points),
         rule=RULE,
         characteristics=tuple(map(_measured, measurements)),
         features=tuple(_element(name, patch) for name, feature in features.items() for patch in feature.patches),
@@ -149,7 +156,7 @@ def _measured(measurement: Measurement) -> MeasuredCharacteristic:
         expanded_uncertainty=None if uncertainty is None else round(uncertainty, 6),
         verdict=measurement.verdict.value,
         method=measurement.method,
-        note=c.note,
+        note="; ".join(filter(None, [c.note, measurement.note])),
         cause=measurement.cause,
     )
 
@@ -170,12 +177,19 @@ def _element(name: str, patch: MeasuredPatch) -> MeasuredElement:
         if shape is not None and shape.kind is ShapeKind.CONE
         else None,
         sd_mm=round(1000 * patch.sigma, 6),
+        spacing_mm=None if patch.spacing is None else round(1000 * patch.spacing, 4),
     )
 
 
-def _triple(values: "np.ndarray[tuple[int], np.dtype[np.float64]]", digits: int) -> Triple:
+def _triple(values: Floats, digits: int) -> Triple:
     x, y, z = (round(float(value), digits) + 0.0 for value in values)
     return x, y, z
+
+
+def _rows(T: Floats) -> tuple[tuple[float, float, float, float], ...]:
+    """Return the rows of a motion (4, 4) in millimetres."""
+    inner = T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])
+    return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in np.round(inner, 12).tolist())
 
 
 def as_csv(result: InspectionResult) -> str:
@@ -190,11 +204,23 @@ def as_csv(result: InspectionResult) -> str:
     return text.getvalue()
 
 
+def points_csv(features: Mapping[str, MeasuredFeature]) -> str:
+    """Return the cell means of the features as CSV: place, and deviation from the fitted element or the nominal one."""
+    lines = ["feature,x_mm,y_mm,z_mm,deviation_mm"]
+    for name, feature in features.items():
+        for patch in feature.patches:
+            if patch.cells is not None and patch.shape is not None:
+                rows = np.column_stack([1000 * patch.cells.points, 1000 * patch.deviations])
+                quoted = '"' + name.replace('"', '""') + '"'
+                lines += [",".join([quoted, *(f"{each:.4f}" for each in row)]) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
 def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
     """Return heading and rows of the table of characteristics."""
     heading = ["", "characteristic", "feature", "tolerance", "value", "U (k = 2)", "U/T", "verdict"]
     if result.is_predicted:
-        heading = [*heading[:4], *heading[5:7], "result"]
+        heading = [*heading[:4], "spacing of points", *heading[5:7], "result"]
     rows = []
     for each in result.characteristics:
         ratio = each.u_over_t
@@ -205,7 +231,10 @@ def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
             "-" if ratio is None else f"{ratio:.3f}",
             each.cause if each.cause and result.is_predicted else "met" if result.is_predicted else each.verdict,
         ]  # fmt: skip
-        rows.append([*cells[:4], *cells[5:]] if result.is_predicted else cells)
+        if result.is_predicted:
+            own = [e.spacing_mm for e in result.features if e.feature == each.feature and e.spacing_mm is not None]
+            cells[4] = f"{max(own):.2f} mm" if own else "-"
+        rows.append(cells)
     return heading, rows
 
 

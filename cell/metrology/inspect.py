@@ -1,5 +1,6 @@
 """`cell inspect`: measured points, a mesh or an execution compared with the tolerances of a part."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from planner.values import Floats, Ints
 
 _FINE_MESH = 20_000  # vertices of a mesh that was reconstructed from points; a coarser one is sampled
 _MESH_SAMPLES = 200_000
+REGISTERED = "errors that the registration leaves in the poses are not in U"
 _FAR = 10.0  # diagonals of the part: distance of an assumed scanner
 
 
@@ -60,16 +62,20 @@ def inspect(
     with reporter.stage("read the points"):
         if run is None:
             measured, words = _file_points(source, options)
-            measured, aligned = located(measured, reference, options)
+            measured, aligned, T_located = located(measured, reference, options)
     for sentence in (*plan.notes, *plan.unsupported):
         reporter.note(sentence)
     with reporter.stage("inspect"):
         if run is None:
             done = inspect_points(
-                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned
-            )
+                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned,
+                T_located=T_located,
+            )  # fmt: skip
         else:
             done = inspect_execution(plan, reference, run, read_execution(run, source.name))
+        for each in done.result.characteristics:
+            if "nearly not determined" in each.note:
+                reporter.note(f"{each.name}: {each.note}")
         folder = Path("sim_runs") / f"inspect-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else out
         write_results(folder, done, qif)
     return folder, done
@@ -130,27 +136,63 @@ def inspect_execution(
         raise FileError(
             f"{path} is missing or damaged; write it again with cell scan --report {recorded.folder.name}"
         ) from error
-    options = recorded.manifest.options or {}
     views = vertex.columns("view")[:, 0].astype(np.int64) - 1
     sigma = vertex.columns("scalar_sigma_mm")[:, 0] / 1000
     points, normals = vertex.columns("x", "y", "z") / 1000, vertex.columns("nx", "ny", "nz")
-    simulated = all(scan.T_true is not None for scan in recorded.scans)
-    given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
-    noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
-    if simulated:
-        sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
+    measured = execution_points(run, recorded, points, normals, sigma, views)
+    simulated, options = all(scan.T_true is not None for scan in recorded.scans), recorded.manifest.options or {}
     registered = bool(options.get("register"))
-    pose = (0.0, 0.0) if registered else given if simulated else run.plan_pose_sd
     return inspect_points(
         plan,
         reference,
-        points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose),
+        measured,
         part=run.scene.part.name,
         source="; ".join(dict.fromkeys(scan.source for scan in recorded.scans)),
         is_simulated=simulated,
         on_reference=simulated and not options.get("actual"),
         aligned="scans registered to each other and to the part" if registered else "scans by their reported poses",
-        notes=("errors that the registration leaves in the poses are not in U",) if registered else (),
+        notes=(REGISTERED,) if registered else (),
+    )
+
+
+def execution_points(
+    run: Run, recorded: RecordedExecution, points: Floats, normals: Floats, sigma: Floats, views: Ints
+) -> MeasuredPoints:
+    """Return the points of an execution with their errors.
+
+    Args:
+        run: its plan.
+        recorded: the execution.
+        points: (N, 3) merged, object frame [m].
+        normals: (N, 3) of the surface.
+        sigma: (N,) by the scanner's model along the ray [m].
+        views: (N,) index of the view.
+    """
+    options = recorded.manifest.options or {}
+    simulated = all(scan.T_true is not None for scan in recorded.scans)
+    given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
+    noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
+    if simulated:
+        sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
+    pose = (0.0, 0.0) if options.get("register") else given if simulated else run.plan_pose_sd
+    return points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose)
+
+
+def points_of_setups(setups: Sequence[MeasuredPoints], placements: Sequence[tuple[float, float]]) -> MeasuredPoints:
+    """Return the points of several set-ups, whose registrations are errors in common.
+
+    Args:
+        setups: points of each set-up.
+        placements: standard deviations of the registration of each [m, rad], about the mean of its points.
+    """
+    first = np.cumsum([0, *(len(each.origins) for each in setups)])
+    return MeasuredPoints(
+        np.concatenate([each.points for each in setups]),
+        np.concatenate([each.sigma for each in setups]),
+        np.concatenate([each.view + start for each, start in zip(setups, first[:-1], strict=True)]),
+        np.concatenate([*(each.origins for each in setups), [each.points.mean(axis=0) for each in setups]]),
+        np.concatenate([*(each.pose_sd for each in setups), np.array(placements)]),
+        setup=np.repeat(first[-1] + np.arange(len(setups)), [len(each.points) for each in setups]),
     )
 
 
@@ -217,14 +259,16 @@ def _mesh_of(source: Path) -> TriangleMesh | None:
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 
-def located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions) -> tuple[MeasuredPoints, str]:
-    """Return points of a file after a search for the place of the part, and the search in words.
+def located(
+    measured: MeasuredPoints, reference: TriangleMesh, options: InspectOptions
+) -> tuple[MeasuredPoints, str, Floats]:
+    """Return points of a file after a search for the place of the part, the search in words, and their motion.
 
     Raises:
         FileError: if too few points lie near the part.
     """
     if options.search_mm == 0 == options.search_deg:
-        return measured, ""
+        return measured, "", np.eye(4)
     centre = (reference.vertices.min(axis=0) + reference.vertices.max(axis=0)) / 2
     search = SearchRange(options.search_mm / 1000, float(np.radians(options.search_deg)))
     rng = random_stream(0, Stream.LOCALISATION_STARTS)
@@ -241,4 +285,6 @@ def located(measured: MeasuredPoints, reference: TriangleMesh, options: InspectO
     except PlannerError as error:
         raise FileError(str(error)) from error
     sd = float(measured.sigma[0])
-    return _single_view(transform_points(fit.T, measured.points), sd), f"located within {options.search_mm:g} mm"
+    doubts = (*fit.doubts, *fit.alternatives)
+    words = "; ".join([f"located within {options.search_mm:g} mm, {options.search_deg:g} deg", *doubts])
+    return _single_view(transform_points(fit.T, measured.points), sd), words, fit.T

@@ -10,6 +10,7 @@ import numpy as np
 from cell.inspect.artefacts import FEATURES, PREDICTED, QIF_SOURCE
 from cell.inspect.features import InspectionPlan
 from cell.inspect.inspection import plan_inspection, predict_plan, qif_source, with_feature_regions
+from cell.inspect.prediction import PlannedViews
 from cell.inspect.results import markdown
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import PlanSession
@@ -58,7 +59,7 @@ def add_certain_views(
 
 
 def uncertainty_section(
-    session: PlanSession, scene: Scene, problem: SelectionProblem, plan: ConnectedPlan
+    session: PlanSession, scene: Scene, problem: SelectionProblem, plan: ConnectedPlan, *, is_noted: bool
 ) -> list[str]:
     """Predict and write the uncertainty of the characteristics, note unmet demands, and return the report's section."""
     prediction, options, folder = problem.prediction, scene.plan, session.folder
@@ -66,12 +67,12 @@ def uncertainty_section(
         session.note("the uncertainty of characteristics is not predicted: the scanner has no model of its noise")
         return []
     found = predict_plan(
-        _plan_of(folder), ply.mesh((folder.path / "reference.ply").read_bytes()), plan.driven.T_object_poses,
-        prediction.scanner, prediction.casters, (options.pose_sd_mm, options.pose_sd_deg),
-        Path(scene.part.source).stem,
+        _plan_of(folder), ply.mesh((folder.path / "reference.ply").read_bytes()),
+        [PlannedViews(plan.driven.T_object_poses, prediction.scanner, prediction.casters)],
+        (options.pose_sd_mm, options.pose_sd_deg), Path(scene.part.source).stem,
     )  # fmt: skip
     folder.write_json(PREDICTED, found.as_json())
-    for each in found.characteristics:
+    for each in found.characteristics if is_noted else ():
         if each.cause:
             session.note(f"{each.name}: {each.cause}")
     return markdown(found)

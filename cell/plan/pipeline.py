@@ -459,7 +459,8 @@ def finish(
         with session.stage("predict the uncertainty"):
             from cell.plan import inspection
 
-            section = inspection.uncertainty_section(session, settled.scene, problem, plan)
+            is_noted = "common_cover" not in annotations
+            section = inspection.uncertainty_section(session, settled.scene, problem, plan, is_noted=is_noted)
     with session.stage("report"):
         report = evaluation.plan_report(settled, planning, problem, plan, measured, motion, optional)
         report = report.model_copy(update=dict(annotations))

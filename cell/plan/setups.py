@@ -129,7 +129,8 @@ def _plan_setups(
             file = file.model_copy(update={"curve": search.curve(connected)})
             files.adopt_plots(session)
     session.folder.write_json("setups.json", file.as_json())
-    session.folder.write_text("report.md", page(file))
+    section = _predicted_section(session, settled, surface, setups, {row: connected[row] for row in order})
+    session.folder.write_text("report.md", "\n".join([page(file), *section]))
     for number in unconnected_setups(file.common_surface, range(1, len(order) + 1)):
         session.note(
             f"the surface that set-up {number} shares with others does not determine the relative pose of its "
@@ -143,6 +144,33 @@ def _plan_setups(
         ("allow more set-ups, or request less", "allow more set-ups, or require less"),
         _regions_without_samples(settled, surface.reference, next(iter(setups.values())).measured.prediction.samples),
     )
+
+
+def _predicted_section(
+    session: PlanSession, settled: SettledScene, surface: PartSurface, setups: Mapping[int, Setup],
+    connected: Mapping[int, ConnectedSetup],
+) -> list[str]:  # fmt: skip
+    """Predict the uncertainty of the characteristics by all set-ups, note unmet demands; return the section."""
+    if not settled.scene.has_features:
+        return []
+    from cell.inspect.artefacts import PREDICTED
+    from cell.inspect.inspection import plan_inspection, predict_plan
+    from cell.inspect.prediction import PlannedViews
+    from cell.inspect.results import markdown
+
+    plan, options = plan_inspection(settled.scene, settled.part), settled.scene.plan
+    known = {row: setups[row].measured.prediction for row in connected}
+    if plan is None or not all(callable(getattr(each.scanner, "sigma", None)) for each in known.values()):
+        return []
+    with session.stage("predict the uncertainty"):
+        views = [PlannedViews(connected[row].T_object_poses, each.scanner, each.casters) for row, each in known.items()]
+        pose_sd = (options.pose_sd_mm, options.pose_sd_deg)
+        found = predict_plan(plan, surface.reference, views, pose_sd, settled.part.name)
+    session.folder.write_json(PREDICTED, found.as_json())
+    for each in found.characteristics:
+        if each.cause:
+            session.note(f"{each.name}: {each.cause}")
+    return markdown(found)
 
 
 def _regions_without_samples(settled: SettledScene, reference: TriangleMesh, samples: SurfaceSamples) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from cell.inspect.evaluation import Measurement
 from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import Association, MeasuredFeature
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.plan.selection import N_FRESH, Search, Selection, SelectionProblem, measure_rows, select_views
 from cell.world.measurability import PartSurface
 from planner.cover import CoverStatus
@@ -63,7 +63,7 @@ def add_views_for_uncertainty(
     last = [np.inf] * len(plan.characteristics)
     for left in reversed(range(ROUNDS + 1)):
         T = problem.candidates.T_object_scanner[selection.cover.views]
-        features = predict_features(association, T, known.scanner, known.casters)
+        features = predict_features(association, [PlannedViews(T, known.scanner, known.casters)])
         predicted = predicted_measurements(plan, association, features, np.zeros((len(T), 2)))
         times = [_needed_times(plan, each) for each in predicted]
         log.info("%d views; needed times of points: %s", len(T), np.round(times, 2).tolist())

@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
 from cell.formatting import comma_list
+from cell.inspect.artefacts import QIF_SOURCE
+from cell.inspect.inspection import inspect_points, read_plan
 from cell.metrology import point_files
+from cell.metrology.inspect import REGISTERED, execution_points, points_of_setups
 from cell.metrology.reconstruct import reconstruct
 from cell.plan.shared_surface import shared_surfaces, unconnected_setups
 from cell.report import scan_report
@@ -53,7 +56,7 @@ from planner.measurability import coverage
 from planner.measurability.visibility import find_measured
 from planner.registration.cloud import PointCloud
 from planner.registration.localisation import SearchRange
-from planner.registration.registration import Registration, register
+from planner.registration.registration import Registration, placement_sd, register
 from planner.registration.surface import EDGE_BAND, measure_deviation
 from planner.values import Bools, Floats
 
@@ -364,8 +367,56 @@ def _write_combined(
             deviation=None if deviation is None else deviation_values(deviation),
         )
     folder.write_json("report.json", report.as_json())
-    folder.write_text("report.md", scan_report.combined_markdown(report))
+    with session.stage("inspect"):
+        section = _inspect(folder, bodies, nearest, is_registered=registration is not None)
+    folder.write_text("report.md", "\n".join([scan_report.combined_markdown(report), *section]))
     return report
+
+
+def _inspect(
+    folder: RunFolder, bodies: Sequence[_ScannedBody], nearest: ClosestPointQuery, *, is_registered: bool
+) -> list[str]:
+    """Inspect the features of the part by the points of all set-ups; return the section of the report."""
+    run = bodies[0].run
+    if (plan := read_plan(run)) is None:
+        return []
+    parts, is_exact = [], True
+    for body in bodies:
+        recorded, merged = read_execution(body.run, body.execution), body.merged
+        sigma, views = point_sigma(merged, body.scans, body.cell.scanner), merged.stop.astype(np.int64) - 1
+        parts.append(execution_points(body.run, recorded, merged.cloud.points, merged.cloud.normals, sigma, views))
+        is_exact &= not options_of(recorded).registers
+    placements = [
+        placement_sd(body.merged.cloud.points[:: 1 + len(body.merged.cloud) // _SAMPLES], nearest)
+        if is_registered
+        else (0.0, 0.0)
+        for body in bodies
+    ]
+    words = [
+        f"set-up {body.number}: {1000 * along:.4f} mm, {np.degrees(about):.4f} deg"
+        for body, (along, about) in zip(bodies, placements, strict=True)
+    ]
+    is_simulated = all(scan.T_true is not None for body in bodies for scan in body.scans)
+    done = inspect_points(
+        plan,
+        nearest.mesh,
+        points_of_setups(parts, placements),
+        part=run.scene.part.name,
+        source=source_of([scan for body in bodies for scan in body.scans]),
+        is_simulated=is_simulated,
+        on_reference=is_simulated and not any(options_of(read_execution(b.run, b.execution)).actual for b in bodies),
+        aligned="set-ups registered to each other and to the part" if is_registered else "set-ups at their placements",
+        notes=(
+            *([f"U contains the registration of each set-up, with standard deviations of {'; '.join(words)}"]
+              if is_registered else ()),
+            *(() if is_exact else (REGISTERED,)),
+        ),
+    )  # fmt: skip
+    done.write(
+        lambda name, content: folder.write_bytes(name, [content]),
+        run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None,
+    )
+    return done.section()
 
 
 def _setup_values(bodies: Sequence[_ScannedBody], measured: Mapping[int, Bools]) -> list[ScannedSetup]:

@@ -467,12 +467,24 @@ if (data.curve) byId("curve").src = data.curve;
 for (const [name, value] of data.rows) { element("dt", name, byId("report")); element("dd", value, byId("report")); }
 byId("of-report").hidden = !data.rows.length;
 byId("of-features").hidden = !data.characteristics.length;
+const featurePoints = fixed(T_base_object);
+onPart.add(featurePoints);
+/** Show points of a feature in the colours of their deviations: blue below, red above the element. */
+function showDeviations(rows) {
+  featurePoints.clear();
+  const largest = Math.max(...rows.map((row) => Math.abs(row[3])), 1e-6), grey = new THREE.Color("#f2f2f2");
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(rows.flatMap((row) => row.slice(0, 3).map((value) => value / 1000)), 3));
+  geometry.setAttribute("color", new THREE.Float32BufferAttribute(rows.flatMap((row) => grey.clone().lerp(new THREE.Color(row[3] < 0 ? "#2166ac" : "#b2182b"), Math.abs(row[3]) / largest).toArray()), 3));
+  featurePoints.add(new THREE.Points(geometry, new THREE.PointsMaterial({ vertexColors: true, size: 5, sizeAttenuation: false })));
+}
 for (const each of data.characteristics) {
   const button = element("button", each.name, byId("features"));
   button.style.borderLeftColor = each.colour;
   button.onclick = () => {
     byId("feature").replaceChildren();
     for (const [name, value] of each.rows) { element("dt", name, byId("feature")); element("dd", value, byId("feature")); }
+    showDeviations(each.points);
     if (each.place) lookAt(inScene(new THREE.Vector3(...each.place)).toArray(), data.camera.part_distance / 3);
   };
 }

@@ -97,7 +97,8 @@ class PageContents:
         motion: times (M,) [s] and joint angles (M, axes) [rad]; None for an arm at home.
         cloud: (P, 3) points, object frame [m].
         rows: names and numbers in the panel.
-        characteristics: with `name`, `colour`, `rows`, and the `place` that a click shows (object frame [m]) or None.
+        characteristics: with `name`, `colour`, `rows`, the `place` that a click shows (object frame [m]) or None, and
+            the `points` of the feature: x, y, z and deviation [mm].
         problems: sentences about errors.
         notes: sentences.
         next_commands: with the placeholders RUN for the run folder and EXECUTION for the execution's name.

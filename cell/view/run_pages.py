@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -269,9 +271,7 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         ("sampled coverage", _format_percent(coverage.sampled)),
         *([("dense coverage", _format_percent(coverage.dense))] if coverage.dense is not None else []),
     ]
-    listed = (
-        _characteristics(json.loads((done.folder / "features.json").read_bytes())) if done.has("features.json") else ()
-    )
+    listed = _characteristics(done.folder) if done.has("features.json") else ()
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
         rows += [("", deviation.edge_note)] if deviation.edge_note else []
@@ -285,8 +285,13 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
     )  # fmt: skip
 
 
-def _characteristics(results: Mapping[str, Any]) -> list[Mapping[str, object]]:
-    """Return the characteristics of features.json for the panel."""
+def _characteristics(folder: Path) -> list[Mapping[str, object]]:
+    """Return the characteristics of features.json for the panel, with the points of their features."""
+    results, points = json.loads((folder / "features.json").read_bytes()), dict[str, list[list[float]]]()
+    if (table := folder / "feature_points.csv").is_file():  # not of an older execution
+        with table.open(newline="", encoding="utf-8") as file:
+            for name, *values in list(csv.reader(file))[1:]:
+                points.setdefault(name, []).append([float(value) for value in values])
     elements: dict[str, list[Mapping[str, Any]]] = {}
     for element in results["features"]:
         elements.setdefault(element["feature"], []).append(element)
@@ -302,10 +307,14 @@ def _characteristics(results: Mapping[str, Any]) -> list[Mapping[str, object]]:
         rows += [
             ("points", f"{e['n_points']:,} on {e['share']:.0%} of {e['kind']}, sd {e['sd_mm']:.4f} mm") for e in own
         ]
+        shown = points.get(each["feature"], [])
+        if shown:
+            off = [row[3] for row in shown]
+            rows.append(("shown", f"{len(shown)} means, {min(off):+.4f} (blue) to {max(off):+.4f} mm (red)"))
         place = own[0]["point_mm"]
         found.append({
             "name": f"{each['name']} ({each['kind']})", "colour": VERDICTS[each["verdict"]], "rows": rows,
-            "place": None if place is None else [value / 1000 for value in place],
+            "place": None if place is None else [value / 1000 for value in place], "points": shown,
         })  # fmt: skip
     return found
 

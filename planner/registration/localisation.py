@@ -25,7 +25,7 @@ from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.registration.cloud import ScanCloud
 from planner.registration.observability import RigidFit, split_directions
-from planner.registration.registration import MIN_MATCHES, JointProblem, MovingScan
+from planner.registration.registration import MIN_MATCHES, JointProblem, MovingScan, fit_majority
 from planner.registration.rigid import (
     length_scale,
     motion_from_vector,
@@ -43,6 +43,7 @@ _COARSE, _FINE = 300, 20_000  # points of all views together
 _STARTS = 60
 _FIRST, _LATER, _LAST = 8, 25, 40  # steps of a descent
 _PROMISING = 6  # starts that continue
+_MAJORITY_ROUNDS = 12
 _STILL = 1e-7  # m; a step with smaller displacements ends a descent
 _CAP = 0.02  # of the diagonal: largest distance of a point when starts are compared
 _SAME = 0.01  # of the diagonal: placements that are no farther apart are the same
@@ -103,13 +104,18 @@ def fit_surface(
         coarse.set_motion(start)
         coarse.descend(_LATER)
         promising.append((coarse.cost(), coarse.T))
+        # Along a direction in which few faces look, these are outliers of the others; here they count.
+        coarse.set_motion(fit_majority(coarse.scanned_points, nearest, coarse.T, reach, _MAJORITY_ROUNDS))
+        promising.append((coarse.cost(), coarse.T))
     fine = _BodyFit([MovingScan(cloud, _FINE // len(near)) for cloud in near], nearest, reach, centre, length)
     results: list[tuple[float, Floats]] = []
-    for _, start in sorted(promising, key=itemgetter(0)):
+    for _, start in sorted(promising, key=itemgetter(0))[:_PROMISING]:
         if all(_distance_between(start, other, near) > _SAME * diagonal for _, other in results):
             fine.set_motion(start)
             fine.descend(_LAST)
-            results.append((fine.spread(), fine.T))
+            fine.set_motion(fit_majority(fine.scanned_points, nearest, fine.T, reach))
+            # Not the median distance: a block that slides along most of its faces has a small one.
+            results.append((float(np.sqrt(fine.cost())), fine.T))
     results.sort(key=itemgetter(0))
     fine.set_motion(results[0][1])
     fine.hold_free_motions()
@@ -140,6 +146,11 @@ class _BodyFit:
     def points(self) -> Floats:
         """(N, 3) matched points after the motion [m]."""
         return np.concatenate([view.points for view in self._views])
+
+    @property
+    def scanned_points(self) -> Floats:
+        """(N, 3) the same before the motion [m]."""
+        return transform_points(np.linalg.inv(self.T), self.points)
 
     def equations(self) -> tuple[Floats, Floats, float, Floats, float]:
         """Return the normal equations of the common motion about the points' centre.

@@ -33,6 +33,8 @@ _TUKEY = 4.685  # 95 % efficiency on normal residuals
 _MIN_SCALE = 1e-6  # m; the residuals of exact data must not let one kind of match dominate the others
 _GAUGE = 1e-6  # relative eigenvalue below which a common motion of the scans changes no match
 _MIN_PAIR_SAMPLES = 200
+_WEIGHTINGS = 30  # of linearised distances
+_BLOCKS = 4  # along each axis, whose deviations are taken as independent
 
 
 class MovingScan:
@@ -315,6 +317,72 @@ class ScanRegistration(Value):
     def sentence(self) -> str:
         """Status and free motions of the scan, for a report."""
         return f"{self.status.value} ({describe(self.free)})" if self.free else self.status.value
+
+
+def fit_majority(points: Floats, nearest: ClosestPointQuery, T: Floats, reach: float, rounds: int = 3) -> Floats:
+    """Return the motion (4, 4) of points to a surface that most of them fit, from one near it.
+
+    A redescending weight alone may lock in a moved feature, with most of the surface as outliers. The sum of absolute
+    distances has one minimum in the linear range; from it, Tukey's weights remove the influence of outliers.
+
+    Args:
+        points: (N, 3) [m].
+        nearest: the surface.
+        T: (4, 4) motion that brings the points near it.
+        reach: largest distance of a point that counts [m].
+        rounds: of closest points.
+    """
+    for number in range(rounds):
+        there = transform_points(T, points)
+        closest = nearest.closest(there)
+        near = closest.distance <= reach
+        normals, centre = nearest.normals(closest)[near], there[near].mean(axis=0)
+        off = np.einsum("nj,nj->n", (there - closest.point)[near], normals)
+        length = float(np.sqrt(((there[near] - centre) ** 2).sum(axis=1).mean()))
+        J = np.hstack([normals, np.cross((there[near] - centre) / length, normals)])
+        change = np.zeros(6)
+        for _ in range(_WEIGHTINGS):
+            left = np.abs(off + J @ change)
+            if number == rounds - 1:
+                scale = max(_TUKEY * 1.4826 * float(np.median(left)), _MIN_SCALE)
+                weight = np.maximum(1 - (left / scale) ** 2, 0) ** 2
+            else:
+                weight = 1 / np.maximum(left, _MIN_SCALE)
+            change = -np.linalg.pinv((J * weight[:, None]).T @ J, 1e-9) @ (J.T @ (weight * off))
+        T = motion_from_vector(np.concatenate([change[:3], change[3:] / length]), centre) @ T
+    return T
+
+
+def placement_sd(points: Floats, nearest: ClosestPointQuery) -> tuple[float, float]:
+    """Return the standard deviations of the placement of registered points: along [m] and about [rad] any axis.
+
+    Delete-one jackknife (Efron 1982, doi:10.1137/1.9781611970319) over blocks of a grid: deviations of a part from its
+    model, unlike noise, are alike at neighbouring points and do not average out. The larger ones of all axes count;
+    rotations are about the mean of the points.
+
+    Args:
+        points: (N, 3) after registration [m].
+        nearest: the reference.
+    """
+    closest = nearest.closest(points)
+    normals, centre = nearest.normals(closest), points.mean(axis=0)
+    off = np.einsum("nj,nj->n", points - closest.point, normals)
+    keep = np.abs(off - np.median(off)) <= 3 * 1.4826 * np.median(np.abs(off - np.median(off))) + _MIN_SCALE
+    points, normals, off = points[keep], normals[keep], off[keep]
+    length = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+    J = np.hstack([normals, np.cross((points - centre) / length, normals)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell = np.minimum((_BLOCKS * (points - low) / np.maximum(high - low, _MIN_SCALE)).astype(np.int64), _BLOCKS - 1)
+    block = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+    n = int(block.max()) + 1
+    A, b = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    np.add.at(b, block, J * off[:, None])
+    for k in range(n):
+        A[k] = J[block == k].T @ J[block == k]
+    found = np.stack([np.linalg.pinv(A.sum(axis=0) - A[k], 1e-6) @ (b.sum(axis=0) - b[k]) for k in range(n)])
+    covariance = (n - 1) / n * (found - found.mean(axis=0)).T @ (found - found.mean(axis=0))
+    along, about = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
+    return along, about / length
 
 
 @dataclass(frozen=True, slots=True, eq=False)

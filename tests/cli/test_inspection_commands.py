@@ -5,9 +5,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cell.part.workpiece import load
 from planner.geometry.sampling import draw_samples
+from planner.registration.rigid import motion_from_vector, transform_points
 from tests.qif_files import bored_block_qif
 from tests.step_files import bored_block, needs_cascadio
 from tests.support.fixture_types import RunCommand
@@ -63,3 +65,81 @@ def test_two_clouds_are_compared(run_cell: RunCommand, tmp_path: Path) -> None:
     assert abs(found["only_a"] - 0.15) < 0.03
     assert found["only_b"] == 0
     assert "spacing of A 1 mm" in run_cell(*words, cwd=tmp_path, code=0).stdout
+
+
+_RPS = [  # three points on the top, two on the front, one on the left, and one on the raised part of the right
+    ((10, 8, 30), (0, 0, 1), 1.0), ((50, 8, 30), (0, 0, 1), 1.0), ((10, 32, 30), (0, 0, 1), 1.0),
+    ((15, 0, 15), (0, -1, 0), 1.0), ((45, 0, 15), (0, -1, 0), 1.0), ((0, 20, 15), (-1, 0, 0), 1.0),
+    ((60, 34, 15), (1, 0, 0), 1e-6),
+]  # fmt: skip
+_FEATURES = """
+[[feature]]
+name = "top"
+faces = [6]
+datum = "A"
+[[feature]]
+name = "front"
+faces = [3]
+datum = "B"
+[[feature]]
+name = "left"
+faces = [1]
+datum = "C"
+[[feature]]
+name = "bore"
+faces = [7]
+characteristic = [
+    {kind = "position", datums = ["A", "B", "C"], tolerance_mm = 0.5},
+    {kind = "position", name = "free", tolerance_mm = 9},
+]
+"""
+
+
+@needs_cascadio
+@pytest.mark.parametrize(
+    ("alignment", "shift_mm", "turn_deg", "search"),
+    [
+        ("best-fit", 9.0, 4.0, "20mm,8deg"),
+        ("best-fit", 0.3, 0.2, None),
+        ("rps", 0.5, 0.5, None),
+        ("none", 0.3, 0.2, None),
+    ],
+)
+def test_a_displaced_part_is_aligned(
+    run_cell: RunCommand, tmp_path: Path, alignment: str, shift_mm: float, turn_deg: float, search: str | None
+) -> None:
+    """The motion in features.json undoes a known one, though a side is raised by 0.4 and the bore is moved by 0.1."""
+    (tmp_path / "block.stp").write_text(bored_block())
+    points_of_rps = "".join(
+        f"[[inspection.rps]]\npoint_mm = {list(at)}\ndirection = {list(along)}\nweight = {weight}\n"
+        for at, along, weight in _RPS
+    )
+    (tmp_path / "block.toml").write_text(
+        f'[part]\npath = "block.stp"\n[inspection]\nalignment = "{alignment}"\n{points_of_rps}{_FEATURES}'
+    )
+    part, rng = load(tmp_path / "block.stp"), np.random.default_rng(0)
+    samples = draw_samples(part.reference, part.reference, 60_000, rng)
+    points = 1000 * samples.points + 0.003 * rng.standard_normal((60_000, 1)) * samples.normals
+    points[(points[:, 0] > 59.9) & (points[:, 1] > 28), 0] += 0.4
+    points[np.linalg.norm(points[:, :2] - [30, 20], axis=1) < 8.02, 0] += 0.1
+    axis = np.array([0.5, -0.3, 0.8]) / np.linalg.norm([0.5, -0.3, 0.8])
+    T = motion_from_vector(np.concatenate([shift_mm * axis[::-1], np.radians(turn_deg) * axis]), 1000 * part.centre)
+    np.savetxt(tmp_path / "points.xyz", transform_points(T, points), fmt="%.6f")
+    words = ("inspect", "points.xyz", "--points-units", "mm", "--scene", "block.toml", "--out", "checked", "--json")
+    found = json.loads(run_cell(*words, *(["--search", search] if search else []), cwd=tmp_path, code=0).stdout)
+    corners = 1000 * part.reference.vertices
+    back = transform_points(np.array(found["T_part_points"]), transform_points(T, corners))
+    off = np.linalg.norm(back - corners, axis=1).max()
+    expected = np.linalg.norm(transform_points(T, corners) - corners, axis=1).max()
+    if alignment == "none":
+        assert off == pytest.approx(expected, abs=1e-6)
+    else:
+        assert off < {"best-fit": 0.01, "rps": 0.02}[alignment]
+    values = {each["name"]: each["value"] for each in found["characteristics"]}
+    assert values["bore: position"] == pytest.approx(0.2, abs=0.02)  # by its datums in every alignment
+    free = (
+        0.2
+        if alignment != "none"
+        else 2 * np.linalg.norm((transform_points(T, [[30.1, 20, 15]]) - [30, 20, 15])[:, :2])
+    )
+    assert values["free"] == pytest.approx(free, abs=0.03 if alignment != "none" else 0.15)

@@ -42,7 +42,9 @@ def page(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     motion = (np.linspace(0, 1, 50), cell.arm.home + np.linspace(0, 0.3, 50)[:, None] * np.eye(6)[0])
     path = tmp_path_factory.mktemp("tools") / "box.html"
     scene = PageScene("box", cell, [PageSurface("part", mesh, layers)], opens_on="Deviation")
-    path.write_text(render_page(scene, PageContents([view], motion)), encoding="utf-8")
+    side = {"name": "side (form)", "colour": "#0072b2", "rows": [("value", "0.03 mm")], "place": [0.03, 0, 0],
+            "points": [[30.0, 5.0, 0.0, 0.02], [30.0, -5.0, 0.0, -0.01]]}  # fmt: skip
+    path.write_text(render_page(scene, PageContents([view], motion, characteristics=[side])), encoding="utf-8")
     return path
 
 
@@ -52,6 +54,26 @@ def _run(browser: Any, page: Path, script: str, fragment: str = "") -> Any:
     assert browser.faults() == []
     assert [address for address in browser.requests() if not address.startswith(page.as_uri())] == []
     return value
+
+
+def test_a_click_on_a_characteristic_shows_value_and_points(browser: Any, page: Path) -> None:
+    """Points of its feature are drawn at their places, above the element red, below blue."""
+    before, text, places, colours = _run(
+        browser,
+        page,
+        """
+        const before = featurePoints.children.length;
+        document.querySelector("#features button").click();
+        const drawn = featurePoints.children[0].geometry;
+        return [before, byId("feature").textContent, [...drawn.attributes.position.array],
+                [...drawn.attributes.color.array]];
+        """,
+    )
+    assert before == 0
+    assert "0.03 mm" in text
+    assert places == pytest.approx([0.03, 0.005, 0, 0.03, -0.005, 0], abs=1e-6)
+    assert colours[0] > colours[2] + 0.2
+    assert colours[5] > colours[3] + 0.1
 
 
 def test_a_probe_shows_value_place_normal_and_views(browser: Any, page: Path) -> None:

@@ -1,5 +1,8 @@
 """Least-squares fits recover shapes, state their uncertainty, and report points that do not determine them."""
 
+import itertools
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -158,3 +161,45 @@ class TestExtremalShapes:
         change = np.zeros(7)
         change[[TILT_X, SIZE]] = 2e-3, 1e-4
         assert fit_extremal(Criterion.ZONE, points, start.changed(change)).zone < 1e-9
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_the_zone_of_a_plane_is_the_least_width_of_the_points(self, seed: int) -> None:
+        """The width of a polytope is least across a face, or across two parallel edges: all are tried."""
+        points = np.random.default_rng(seed).normal(0, [1, 1, 0.05], (14, 3))
+        pairs = np.array(list(itertools.combinations(range(14), 2)))
+        edges = points[pairs[:, 0]] - points[pairs[:, 1]]
+        normals = np.concatenate([np.cross(edges[k], edges[k + 1 :]) for k in range(len(edges) - 1)])
+        lengths = np.linalg.norm(normals, axis=1)
+        normals = normals[lengths > 1e-9] / lengths[lengths > 1e-9, None]
+        found = fit_extremal(Criterion.ZONE, points, fit(ShapeKind.PLANE, points).shape).zone
+        assert found == pytest.approx(np.ptp(points @ normals.T, axis=0).min(), rel=1e-6)
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_extremal_circles_are_those_of_all_triples_and_centres(self, seed: int) -> None:
+        """Circumscribed: the smallest of all circles by two or three points; the others by a search of centres."""
+        rng = np.random.default_rng(seed)
+        turn = rng.uniform(0, 2 * np.pi, 25)
+        flat = (10 + rng.normal(0, 0.1, 25))[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+        points = np.column_stack([flat, np.zeros(25)])
+        start = fit(ShapeKind.CIRCLE, points, Shape(ShapeKind.CIRCLE, np.zeros(3), np.array([0, 0, 1.0]), 10.0)).shape
+        centres = [(flat[i] + flat[j]) / 2 for i, j in itertools.combinations(range(25), 2)]
+        for i, j, k in itertools.combinations(range(25), 3):
+            A = 2 * (flat[[j, k]] - flat[i])
+            centres.append(np.linalg.solve(A, (flat[[j, k]] ** 2).sum(axis=1) - (flat[i] ** 2).sum()))
+        radii = np.linalg.norm(np.array(centres)[:, None] - flat, axis=2).max(axis=1)
+        found = fit_extremal(Criterion.CIRCUMSCRIBED, points, start).shape
+        assert found.size == pytest.approx(radii.min(), rel=1e-7)
+
+        def best(value: Callable[[Floats], Floats]) -> float:
+            """Return the least value over centres, on grids that shrink about the best one."""
+            centre, width = start.point[:2], 1.0
+            for _ in range(40):
+                grid = centre + width * np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 21)]), axis=-1).reshape(-1, 2)
+                found = value(np.linalg.norm(grid[:, None] - flat, axis=2))
+                centre, width = grid[found.argmin()], 0.6 * width
+            return float(found.min())
+
+        zone = fit_extremal(Criterion.ZONE, points, start).zone
+        assert zone == pytest.approx(best(lambda r: np.ptp(r, axis=1)), rel=1e-5)
+        inscribed = fit_extremal(Criterion.INSCRIBED, points, start).shape.size
+        assert inscribed == pytest.approx(best(lambda r: -r.min(axis=1)) * -1, rel=1e-5)

@@ -11,22 +11,23 @@ from pydantic import ValidationError
 
 from benchmarks.inspection import block_bench, scan_values
 from cell.errors import FileError, SceneError
-from cell.inspect.alignment import datum_frame, fit_reference_points, moved
+from cell.inspect.alignment import common_element, datum_frame, fit_reference_points, moved
 from cell.inspect.evaluation import Verdict, verdict_of
-from cell.inspect.features import InspectionPlan, resolve_features
+from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, resolve_features
 from cell.inspect.inspection import Inspected, align, inspect_points
 from cell.inspect.measured import Association, MeasuredPoints, measure_features
-from cell.inspect.prediction import predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
 from cell.inspect.qif import read_qif
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import as_csv
-from cell.metrology.inspect import located
+from cell.metrology.inspect import located, points_of_setups
 from cell.metrology.options import InspectOptions
 from cell.part.workpiece import Workpiece, from_trusted_mesh, load
 from cell.scanners.laser_area import LaserArea
 from cell.scene.features import FeatureTable
 from cell.world.embree import EmbreeRayCaster
 from planner.fitting.shapes import Shape, ShapeKind
+from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.registration.rigid import motion_from_vector, transform_points
 from planner.values import Floats
@@ -181,6 +182,41 @@ class TestQif:
         with pytest.raises(FileError):
             read_qif(tmp_path / "bad.qif", block)
 
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ('"um">300<', '"um">x3<', "Flatness 41 (Flatness): its value is 'x3'"),
+            ('"um">300<', '"um">1e999<', "Flatness 41 (Flatness): its value is '1e999'"),
+            ("Value>16<", "Value><", "Diameter 42 (Diameter): its value is ''"),
+            ("<DatumLabel>A<", "<DatumLabel>a1<", "datum a1: its label has not one or two capital letters"),
+            ("<XYZ>0 0 30</XYZ>", "<XYZ>0 0</XYZ>", "coordinates '0 0', not three"),
+            ("<XYZ>0 0 30</XYZ>", "<XYZ>a b c</XYZ>", "its coordinate is 'a'"),
+            ("<UnitName>mm</UnitName>", "<UnitName></UnitName>", "the file states no unit of length"),
+        ],
+    )
+    def test_an_item_that_cannot_be_read_is_named(
+        self, block: Workpiece, tmp_path: Path, old: str, new: str, message: str
+    ) -> None:
+        text = bored_block_qif()
+        assert old in text
+        _, unsupported = self.read(block, tmp_path, text.replace(old, new))
+        assert any(message in each for each in unsupported), unsupported
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            (">0.001<", ">abc<", "factor of a unit is 'abc'"),
+            (">0.017453292519943<", ">0<", "factor of the unit 'degree' is 0"),
+            ('id="1200"', 'id="1100"', "has the id 1100 more than once"),
+        ],
+    )
+    def test_a_file_without_units_or_unique_ids_is_refused(
+        self, block: Workpiece, tmp_path: Path, old: str, new: str, message: str
+    ) -> None:
+        (tmp_path / "bad.qif").write_text(bored_block_qif().replace(old, new))
+        with pytest.raises(FileError, match=message):
+            read_qif(tmp_path / "bad.qif", block)
+
     def test_results_refer_to_the_characteristics_of_the_file(self, block: Workpiece, tmp_path: Path) -> None:
         plan, _ = self.read(block, tmp_path, bored_block_qif())
         done = inspected(block, points_on(block, sigma=1e-5), plan)
@@ -245,7 +281,7 @@ class TestAlignment:
         points = points_on(block, 10_000)
         T = motion_from_vector(np.array([0.006, -0.004, 0.005, 0.05, -0.03, 0.03]), block.centre)
         options = InspectOptions(search_mm=15, search_deg=6)
-        found, words = located(single_view(transform_points(T, points)), block.reference, options)
+        found, words, _ = located(single_view(transform_points(T, points)), block.reference, options)
         assert np.abs(found.points - points).max() < 1e-4
         assert "located" in words
 
@@ -350,7 +386,195 @@ class TestValues:
         assert found["bore: size"].value is not None
 
 
+class TestDegenerateFeatures:
+    """Points that hardly determine an element: the value remains, and the report says so."""
+
+    def test_a_cone_of_three_degrees_on_short_lines(self) -> None:
+        """141 points on three lines of a cone: its angle is known to a degree only."""
+        axis, half, turn = np.array([0, 0, 1.0]), np.radians(1.6), np.linspace(0, np.radians(80), 40)
+        radius = 0.02 + np.array([[0.0], [0.005]]) * np.tan(half)
+        rim = [np.column_stack([r * np.cos(turn), r * np.sin(turn), np.full(40, z)])
+               for r, z in zip(radius.ravel(), (0.0, 0.005), strict=True)]  # fmt: skip
+        quads = np.arange(39)
+        faces = np.concatenate([np.column_stack([quads, quads + 1, quads + 41]),
+                                np.column_stack([quads, quads + 41, quads + 40])]).astype(np.int32)  # fmt: skip
+        mesh = TriangleMesh(np.concatenate(rim), faces)
+        shape = Shape(ShapeKind.CONE, np.zeros(3), axis, 0.02 * np.cos(half), half)
+        patch = Patch(kind="cone", point_mm=(0, 0, 0), axis=(0, 0, 1), radius_mm=1000 * shape.size,
+                      half_angle_deg=np.degrees(half), triangles=tuple(range(len(faces))))  # fmt: skip
+        feature = Feature(name="seat", kind="cone", faces=(1,), datum=None, patches=(patch,))
+        size = Characteristic(
+            id=1, name="angle of the seat", feature="seat", kind="size", unit="deg", nominal=3.2, lower=3.1, upper=3.3,
+            datums=(), to=None, criterion="least-squares", zone=None, source_id=None,
+        )  # fmt: skip
+        plan = InspectionPlan(
+            source="test", features=(feature,), characteristics=(size,), unsupported=(), notes=(), u_over_t=0.1,
+            alignment="none", rps=(), edge_mm=0.0, reach_mm=2.0,
+        )  # fmt: skip
+        along, lines = np.tile(np.linspace(0, 0.005, 47), 3), np.repeat(np.radians([1, 40, 79]), 47)
+        points = np.column_stack([np.cos(lines), np.sin(lines), along])
+        points[:, :2] *= (0.02 + along * np.tan(half))[:, None]
+        noise = 5e-6 * np.random.default_rng(0).standard_normal((141, 1))
+        done = inspect_points(
+            plan, mesh, single_view(points + noise * shape.normals(points), 5e-6), part="seat", source="points",
+            is_simulated=False,
+        )  # fmt: skip
+        found = done.result.characteristics[0]
+        assert found.value is not None
+        assert found.expanded_uncertainty is not None
+        assert abs(found.value - 3.2) < 1.5 * found.expanded_uncertainty
+        assert found.expanded_uncertainty > 0.05
+        assert found.verdict == "undecided"
+        assert "nearly not determined" in "\n".join(done.section())
+
+    @pytest.mark.parametrize(("half_deg", "is_weak"), [(10, True), (45, False), (180, False)])
+    def test_a_short_arc_of_a_bore(self, block: Workpiece, half_deg: float, is_weak: bool) -> None:
+        points = points_on(block, 60_000, 1e-5)
+        off = points[:, :2] - [0.03, 0.02]
+        other = np.linalg.norm(off, axis=1) > 0.0081
+        arc = np.abs(np.degrees(np.arctan2(off[:, 1], off[:, 0]))) < half_deg
+        done = inspected(block, points[other | arc], sigma=1e-5)
+        found = next(each for each in done.result.characteristics if each.name == "bore: size")
+        assert ("nearly not determined" in found.note) == is_weak
+        assert found.value is not None
+        assert found.expanded_uncertainty is not None
+        assert abs(found.value - 16) < 1.5 * found.expanded_uncertainty
+
+    def test_a_datum_plane_of_nearly_collinear_points(self, block: Workpiece) -> None:
+        """Only what depends on the tilt of the datum about the line of its points is in doubt."""
+        points = points_on(block, 60_000, 1e-5)
+        line = (points[:, 2] < 0.0299) | (np.abs(points[:, 0] - 0.01) < 0.0003)
+        found = {each.name: each for each in inspected(block, points[line], sigma=1e-5).result.characteristics}
+        assert "on top counts" in found["bore: perpendicularity"].note
+        assert found["bore: perpendicularity"].verdict != "fail"
+        assert "nearly" not in found["bore: size"].note + found["right: distance"].note
+        for name in ("bore: perpendicularity", "bore: position"):
+            each = found[name]
+            assert each.value is not None
+            assert each.expanded_uncertainty is not None
+            assert each.value <= each.expanded_uncertainty
+
+
+class TestCommonDatum:
+    def test_the_axis_is_the_line_of_least_squares_through_the_ends(self) -> None:
+        """The oracle fits two straight lines, x and y over the height."""
+        rng, z = np.random.default_rng(3), np.array([0, 0, 1.0])
+        nominal = Shape(ShapeKind.CYLINDER, np.array([0.01, 0.02, 0]), z, 0.005)
+        tilts = rng.normal(0, 1e-3, (2, 2))
+        shapes = [Shape(ShapeKind.CYLINDER, np.append(rng.normal([0.01, 0.02], 1e-4), height),
+                        np.array([*tilt, 1.0]) / np.linalg.norm([*tilt, 1.0]), 0.005)
+                  for height, tilt in zip((0.0, 0.08), tilts, strict=True)]  # fmt: skip
+        ends = [np.array([[0.01, 0.02, h], [0.01, 0.02, h + 0.02]]) for h in (0.0, 0.08)]
+        found = common_element(nominal, shapes, ends)
+        heights = np.array([0, 0.02, 0.08, 0.1])
+        places = np.array([
+            shape.point + (h - shape.point[2]) / shape.axis[2] * shape.axis
+            for shape, pair in zip(shapes, heights.reshape(2, 2), strict=True) for h in pair
+        ])  # fmt: skip
+        for k in range(2):
+            slope, start = np.polyfit(heights, places[:, k], 1)
+            assert found.axis[k] / found.axis[2] == pytest.approx(slope, abs=1e-7)
+            at = found.point + (0.05 - found.point[2]) / found.axis[2] * found.axis
+            assert at[k] == pytest.approx(start + 0.05 * slope, abs=1e-7)
+
+    def test_coplanar_planes_are_one_plane(self) -> None:
+        nominal = Shape(ShapeKind.PLANE, np.zeros(3), np.array([0, 0, 1.0]))
+        square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+        lower = Shape(ShapeKind.PLANE, np.array([0, 0, -1e-3]), np.array([0, 0, 1.0]))
+        upper = Shape(ShapeKind.PLANE, np.array([0, 0, 1e-3]), np.array([0, 0, 1.0]))
+        found = common_element(nominal, [lower, upper], [square, square + np.array([4, 0, 0])])
+        x, z = np.array([0, 0, 1, 1, 4, 4, 5, 5]), 1e-3 * np.repeat([-1, 1], 4)
+        assert -found.axis[0] / found.axis[2] == pytest.approx(np.polyfit(x, z, 1)[0], abs=1e-8)
+
+    def test_a_runout_refers_to_the_common_axis(self, block: Workpiece) -> None:
+        """The top leans by 0.1 deg towards the bore, which is both datums; cell means end about 3 inside its edges."""
+        tables: list[dict[str, object]] = [
+            {"name": "a", "faces": (7,), "datum": "A"},
+            {"name": "b", "faces": (7,), "datum": "B"},
+            {"name": "top", "faces": (6,), "characteristic": [
+                {"kind": "total-runout", "datums": ("A-B",), **ZONE}]},
+        ]  # fmt: skip
+        plan = plan_of(block, tables)
+        assert [each.name for each in plan.features_of(plan.characteristics[0])] == ["top", "a", "b"]
+        points = points_on(block)
+        top = points[:, 2] > 0.0299
+        points[top, 2] += np.tan(np.radians(0.1)) * (points[top, 0] - 0.03)
+        found = values_of(inspected(block, points, plan))
+        assert found["top: total-runout"] == pytest.approx(55 * np.tan(np.radians(0.1)), abs=4e-3)
+
+    def test_features_without_common_axis_or_plane_are_refused(self, block: Workpiece) -> None:
+        tables: list[dict[str, object]] = [
+            {"name": "top", "faces": (6,), "datum": "A", "characteristic": []},
+            {"name": "front", "faces": (3,), "datum": "B"},
+            {"name": "bore", "faces": (7,), "characteristic": [{"kind": "position", "datums": ("A-B",), **ZONE}]},
+        ]
+        with pytest.raises(SceneError, match="neither one axis nor one plane"):
+            plan_of(block, tables)
+
+    def test_a_common_datum_of_a_qif_file_is_read(self, block: Workpiece, tmp_path: Path) -> None:
+        def simple(number: int) -> str:
+            return f"<SimpleDatum><DatumDefinitionId>{number}</DatumDefinitionId></SimpleDatum>"
+
+        parts = "".join(f"<Datum>{simple(9 + k)}<SequenceNumber>{k}</SequenceNumber></Datum>" for k in (1, 2))
+        text = bored_block_qif().replace("<SimpleDatum>\n", "<SimpleDatum>")
+        assert simple(10) in text
+        text = text.replace(simple(10), f'<CompoundDatum n="2">{parts}</CompoundDatum>')
+        text = text.replace(
+            "</DatumDefinition></DatumDefinitions>",
+            '</DatumDefinition><DatumDefinition id="11"><DatumLabel>B</DatumLabel><FeatureNominalIds n="1">'
+            "<Id>1200</Id></FeatureNominalIds></DatumDefinition></DatumDefinitions>",
+        )
+        (tmp_path / "block.qif").write_text(text)
+        content = read_qif(tmp_path / "block.qif", block)
+        datums = {each.name: each.datums for table in content.features for each in table.characteristic}
+        assert datums["Position 43"] == ("A-B",)
+
+
+class TestSeveralSetups:
+    def test_the_registration_of_set_ups_is_a_term_of_the_uncertainty(self, block: Workpiece) -> None:
+        """Half of the block is measured in another set-up, whose place is uncertain by 0.01 along x."""
+        points = points_on(block, sigma=2e-6)
+        first = points[:, 0] > 0.03
+        sd = 1e-5
+
+        def uncertainties(placements: tuple[tuple[float, float], tuple[float, float]]) -> dict[str, float]:
+            both = points_of_setups([single_view(points[own], 2e-6) for own in (first, ~first)], placements)
+            done = inspect_points(plan_of(block), block.reference, both, part="b", source="p", is_simulated=True)
+            return {each.name: each.expanded_uncertainty or 0.0 for each in done.result.characteristics}
+
+        exact, uncertain = uncertainties(((0, 0), (0, 0))), uncertainties(((sd, 0), (sd, 0)))
+        assert uncertain["right: distance"] == pytest.approx(2000 * sd * np.sqrt(2), rel=0.02)
+        assert uncertain["right: distance"] > 20 * exact["right: distance"]
+        one = points_of_setups([single_view(points, 2e-6)], [(sd, 1e-4)])
+        alone = inspect_points(plan_of(block), block.reference, one, part="b", source="p", is_simulated=True)
+        for each in alone.result.characteristics:  # a motion of the whole part changes no value
+            if each.datums or (each.kind in ("size", "distance", "angle") and each.name != "inscribed"):
+                assert each.expanded_uncertainty == pytest.approx(exact[each.name], rel=0.1, abs=1e-4), each.name
+
+
 class TestResults:
+    def test_characteristics_of_a_scene_have_a_qif_document(self, block: Workpiece) -> None:
+        """Every reference in it has its target, and its numbers of items are right."""
+        written = dict[str, bytes]()
+        done = inspected(block, points_on(block, sigma=1e-5))
+        done.write(written.__setitem__, None)
+        root = ElementTree.fromstring(written["results.qif"])
+        n = f"{{{NAMESPACE}}}"
+        ids = [each.get("id") for each in root.iter() if each.get("id")]
+        assert len(ids) == len(set(ids))
+        assert int(root.get("idMax") or 0) == max(int(each or 0) for each in ids)
+        referring = [each.text for each in root.iter() if each.tag.endswith("Id") and each.tag != f"{n}QPId"]
+        assert referring
+        assert set(referring) <= set(ids)
+        for each in root.iter():
+            if each.get("n"):
+                assert int(each.get("n") or 0) == len(each), each.tag
+        values = [float(each.findtext(f"{n}Value") or "nan") for each in root.iter() if "Measurement" in each.tag
+                  and each.tag.endswith("CharacteristicMeasurement")]  # fmt: skip
+        expected = [each.value for each in done.result.characteristics if each.value is not None]
+        assert values == pytest.approx(expected, abs=1e-6)
+        assert all(each.source_id is None for each in done.result.characteristics)
+
     def test_the_table_has_one_row_for_each_characteristic(self, block: Workpiece) -> None:
         done = inspected(block, points_on(block, 5000, 1e-5))
         lines = as_csv(done.result).splitlines()
@@ -364,7 +588,9 @@ class TestResults:
         for files in (first, second):
             write: Callable[[str, bytes], None] = files.__setitem__
             inspected(block, points).write(write, None)
-        assert sorted(first) == ["characteristics.csv", "features.html", "features.json"]
+        assert sorted(first) == [
+            "characteristics.csv", "feature_points.csv", "features.html", "features.json", "results.qif",
+        ]  # fmt: skip
         assert first == second
         assert b"bore: position" in first["features.html"]
 
@@ -389,7 +615,7 @@ class TestPrediction:
         association = Association(block.reference, plan)
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
         scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
-        features = predict_features(association, views[:, None], scanner, [caster])
+        features = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
         sd = np.tile([pose, 0.0], (len(views), 1))
         found = predicted_measurements(plan, association, features, sd)
         return {each.characteristic.name: (each.expanded_uncertainty, each.cause) for each in found}
@@ -428,7 +654,7 @@ class TestPrediction:
         association = Association(block.reference, plan)
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
         scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
-        predicted = predict_features(association, views[:, None], scanner, [caster])
+        predicted = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
         scans = [virtual_scan.scan(scanner, T, caster, block.reference).points for T in views]
         measured = measure_features(association, single_view(np.concatenate(scans)))
         for name in ("top", "front", "right", "bore"):
