@@ -319,7 +319,7 @@ def test_programs_of_seeded_plans(number: int, part_file: Path, tmp_path: Path, 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("seed", range(5))
 def test_programs_of_seeded_sweeps(seed: int, tmp_path: Path) -> None:
-    """The same for programs with two sweeps each."""
+    """Check programs with two sweeps each."""
     program, (motion, *_) = sweeping_program(seed=seed)
     assert (program.q == motion.via_q).all()
     for language in (*LANGUAGES.values(), KRL):
