@@ -337,7 +337,7 @@ def _kill_group(process: subprocess.Popen[bytes]) -> None:
 
 
 def require_scan(acquired: Acquired, view: View, range_mm: object) -> None:
-    """Refuse points that no scanner measures: of another shape, not finite, far beyond its range, or without their grid.
+    """Refuse points that no scanner measures: of another shape, not finite, beyond its range, outside their grid.
 
     Args:
         acquired: the points.

@@ -94,11 +94,11 @@ def test_points_that_are_no_scan(points: Any, words: str) -> None:
     ],
 )
 def test_an_invalid_grid(pixel: list[float] | None, grid_shape: list[float] | None) -> None:
-    """Pixels outside the grid, broken numbers and a grid without one of the two arrays are refused before they are stored."""
+    """Pixels outside the grid, fractions, and one of the two arrays alone are refused before they are stored."""
     given = {"pixel": pixel, "grid_shape": grid_shape}
     arrays = {name: np.array(values) for name, values in given.items() if values is not None}
     acquired = Acquired(np.array([[0.0, 0.0, 0.3], [0.0, 0.1, 0.3]]), "scanner", arrays)
-    with pytest.raises(FileError, match="the points of view 3 have an invalid grid: .*rows and columns"):
+    with pytest.raises(FileError, match=r"the points of view 3 have an invalid grid: .*rows and columns"):
         require_scan(acquired, VIEW, [200.0, 900.0])
 
 

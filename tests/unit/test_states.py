@@ -166,6 +166,18 @@ def test_a_fault_is_kept_if_its_state_cannot_be_written() -> None:
             driver.require_ready()
 
 
+def test_a_file_without_states_is_not_left_behind(tmp_path: Path) -> None:
+    """The file begins with its first line; an earlier file is kept."""
+    path = tmp_path / "states.jsonl"
+    log = StateLog(path, ["A1"], SimulatedClock())
+    assert not path.exists()
+    log.record(RobotState(Mode.IDLE, from_rad(HOME), True))
+    content = path.read_bytes()
+    assert len(rows_of(path)) == 1
+    StateLog(path, ["A1"], SimulatedClock())
+    assert path.read_bytes() == content
+
+
 def test_another_driver_is_refused(tmp_path: Path) -> None:
     """Only the project's client knows each state."""
     with pytest.raises(UsageError, match="SimpleNamespace is none"):
