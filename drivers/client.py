@@ -244,7 +244,9 @@ class ControllerClient:
         notify: receives a message about a long wait.
 
     Attributes:
-        on_state: receives each state that is read; an exception that it raises ends a move. None: nothing.
+        on_state: receives each state that is read except by `connect` and `close`. An exception that it raises ends a
+            move; one that it raises during a stop is raised by `stop` at its end, and elsewhere only notified. None:
+            nothing.
     """
 
     def __init__(
@@ -293,7 +295,7 @@ class ControllerClient:
                 if self._ledger.owns and not self._is_halted:
                     state = self._link.state()
                     if state.owner == self._ledger.session and (self._ledger.uncertainty or state.is_busy):
-                        self.stop()
+                        self._stop(self._stop_limit)
                 if self._ledger.owns:
                     self._link.give()
         except (LinkError, OverdueError):
@@ -378,7 +380,10 @@ class ControllerClient:
 
     def stop(self) -> RobotState:
         """Brake on the path and return when the arm is at rest."""
-        return self._stop(status.STOP_LIMIT / min(self.capabilities.time_scale, 1.0))
+        state, failure = self._brake(self._stop_limit)
+        if failure:
+            raise failure
+        return state
 
     def reset(self) -> RobotState:
         """Clear a latched fault."""
@@ -389,10 +394,18 @@ class ControllerClient:
             self._fault, self._is_in_position = None, False
             return self._read()
 
+    @property
+    def _stop_limit(self) -> float:
+        return status.STOP_LIMIT / min(self.capabilities.time_scale, 1.0)
+
     def _read(self) -> RobotState:
-        state = self._link.state()
+        state = self._receive()
         if self.on_state is not None:
             self.on_state(state)
+        return state
+
+    def _receive(self) -> RobotState:
+        state = self._link.state()
         self._heartbeat = state.heartbeat
         if not self._fault and status.latched_fault(state):
             self._fault = status.fault_error(state)
@@ -404,6 +417,15 @@ class ControllerClient:
         return state
 
     def _stop(self, limit: float) -> RobotState:
+        """Stop an arm that has a cause to stop; a failure of `on_state` is notified and does not replace the cause."""
+        state, failure = self._brake(limit)
+        if failure and self._notify:
+            self._notify(str(failure))
+        return state
+
+    def _brake(self, limit: float) -> tuple[RobotState, Exception | None]:
+        """Stop, and return the state at rest and the first failure of `on_state` until then."""
+        failure: Exception | None = None
         with self._deadline_in(limit):
             with self._lock:
                 _ = self.capabilities
@@ -415,7 +437,16 @@ class ControllerClient:
                     except LinkError:  # a repeated stop is harmless
                         if not left or self._clock.now() >= self._link.deadline:
                             raise
-            while not status.is_at_rest(state := self.state()):
+            while True:
+                with self._lock:
+                    state = self._receive()
+                try:
+                    if self.on_state is not None:
+                        self.on_state(state)
+                except Exception as error:
+                    failure = failure or error
+                if status.is_at_rest(state):
+                    break
                 if self._clock.now() >= self._link.deadline:
                     wrong = status.find_contradiction(state, self.capabilities)
                     raise OverdueError(
@@ -427,7 +458,7 @@ class ControllerClient:
         with self._lock:
             self._ledger.reconcile(state)
             self._is_halted = self._is_in_position = False
-        return state
+        return state, failure
 
     @contextlib.contextmanager
     def _deadline_in(self, seconds: float) -> Iterator[None]:
@@ -508,7 +539,7 @@ class ControllerClient:
         A controller brakes by itself; one that does not, or that forgets the fault, must not drive on.
         """
         try:
-            end = f"the arm is at rest at {format_axes(self.stop().axes)}"
+            end = f"the arm is at rest at {format_axes(self._stop(self._stop_limit).axes)}"
         except DriverError as error:
             end = f"the stop was not confirmed ({error}), so press the emergency stop"
             self._ledger.uncertainty = f"{fault}; {end}"

@@ -337,7 +337,7 @@ def _kill_group(process: subprocess.Popen[bytes]) -> None:
 
 
 def require_scan(acquired: Acquired, view: View, range_mm: object) -> None:
-    """Refuse points that no scanner measures: of another shape, not finite, or far beyond its range.
+    """Refuse points that no scanner measures: of another shape, not finite, beyond its range, outside their grid.
 
     Args:
         acquired: the points.
@@ -363,8 +363,24 @@ def require_scan(acquired: Acquired, view: View, range_mm: object) -> None:
                 f"are up to {distance.max():.3g} m away from the scanner, whose range ends at {range_mm[1]} mm (values "
                 "of rays without an echo, another unit, or another frame)"
             )
+    if not problem and not _has_valid_grid(acquired.arrays, len(points)):
+        problem = (
+            "have an invalid grid: grid_shape must be two positive integers, rows and columns, and pixel an integer "
+            "in 0 ... rows * columns - 1 for each point"
+        )
     if problem:
         raise FileError(f"the points of view {view.stop} {problem}; {cure}")
+
+
+def _has_valid_grid(arrays: Mapping[str, NDArray[Any]], n_points: int) -> bool:
+    """Return whether `pixel` and `grid_shape` of a scan are a grid; also if it has neither."""
+    if not {"pixel", "grid_shape"} & arrays.keys():
+        return True
+    pixel, shape = np.asarray(arrays.get("pixel")), np.asarray(arrays.get("grid_shape"))
+    if pixel.shape != (n_points,) or shape.shape != (2,) or {pixel.dtype.kind, shape.dtype.kind} - set("iu"):
+        return False
+    rows, columns = (int(size) for size in shape)
+    return min(rows, columns) > 0 and bool(((pixel >= 0) & (pixel < rows * columns)).all())
 
 
 def _pose_values(view: View) -> dict[str, object]:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -161,8 +161,15 @@ def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, a
         controller.serve(is_over)
 
 
+class _Closable(Protocol):
+    """A line or a controller that is served."""
+
+    def close(self) -> None:
+        """Release its port."""
+
+
 @contextlib.contextmanager
-def _until_stopped(served: Any, options: EmulateOptions, clock: Clock) -> Iterator[Callable[[], bool]]:
+def _until_stopped(served: _Closable, options: EmulateOptions, clock: Clock) -> Iterator[Callable[[], bool]]:
     """Yield whether the time of the options is over; Ctrl-C is the usual end of the block, which then closes."""
     with contextlib.closing(served), contextlib.suppress(KeyboardInterrupt):
         yield lambda: options.seconds is not None and clock.now() >= options.seconds

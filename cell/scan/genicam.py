@@ -131,8 +131,10 @@ class GenICam:
             raise UsageError(f"the device of --acquire genicam:{self._device} fails: {_reason(error)}") from error
         finally:
             if camera is not None:
-                camera.destroy()
-            harvester.reset()
+                with suppress(*failures):  # a lost device cannot be flushed; the cause is already raised
+                    camera.destroy()
+            with suppress(*failures):
+                harvester.reset()
 
 
 _Errors = tuple[type[Exception], ...]
@@ -243,6 +245,8 @@ def _capture(camera: Any, timeout_s: float) -> DepthGrid:
             if is_triggered:
                 nodes.TriggerSoftware.execute()
             frame = camera.try_fetch(timeout=left)  # None also for an incomplete frame
+            if isinstance(frame, list):
+                raise _FrameError("the device has several data streams; give a device with one")
             if frame is None:
                 continue
             with frame:
@@ -295,6 +299,9 @@ def read_frame(parts: Sequence[Any], nodes: Any) -> DepthGrid:
             if is_whole and scale is None:
                 raise _FrameError(f"the device sends {formats} without Scan3dCoordinateScale")
             scale, offset = 1.0 if scale is None else scale, 0.0 if offset is None else offset
+            if not is_whole and missing is not None:
+                with np.errstate(over="ignore"):
+                    missing = float(np.float32(missing))  # GenICam states a double
             points[..., k] = np.where(raw == missing, np.nan, raw * scale + offset)
         elif mode in _GRID_MODES and scale is not None and offset is not None:
             points[..., k] = np.indices(shape)[1 - k] * scale + offset

@@ -34,7 +34,10 @@ class StateLog:
         self._path, self._names, self._clock = path, list(names), clock
         self._epoch = 0.0 if clock.simulated else time.time() - clock.now()
         self._has_failed = False
+        is_new = not (path.exists() or path.is_symlink())
         self._append("")
+        if is_new:  # a refused scan leaves no empty file behind
+            path.unlink(missing_ok=True)
 
     def record(self, state: RobotState) -> None:
         """Append a state; a file that fails raises once, so that the arm can still be stopped."""
@@ -56,7 +59,7 @@ class StateLog:
         if self._has_failed:
             return
         try:
-            with self._path.open("a", encoding="utf-8") as file:
+            with self._path.open("a", encoding="utf-8", newline="\n") as file:
                 file.write(line)
         except OSError as error:
             self._has_failed = True

@@ -8,6 +8,7 @@ once: the corrections begin at zero where the arm is.
 import contextlib
 import select
 import socket
+from collections import deque
 from collections.abc import Callable
 from typing import Final
 
@@ -35,6 +36,7 @@ class RsiController:
         port: of the client on the loopback interface; 0 selects a free one.
         cycle_ms: 4 or 12.
         injector: faults of the wire; None: none.
+        lag: cycles by which the reported axes are behind the corrected ones.
 
     Attributes:
         url: of a driver for it.
@@ -53,6 +55,7 @@ class RsiController:
         port: int = 0,
         cycle_ms: int = 4,
         injector: Injector | None = None,
+        lag: int = 0,
     ) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -66,6 +69,7 @@ class RsiController:
         self.cycle_ms = cycle_ms
         self.axes = np.degrees(q)
         self.driven: list[Floats] = []
+        self._past = deque([self.axes], lag + 1)
         self.ended = {"client": 0, "timeout": 0, "emergency stop": 0}
         self.is_stopped = self.is_blocked = False
         self.late = self._n_silent = 0
@@ -124,10 +128,11 @@ class RsiController:
             if self._n_silent > rsi.TIMEOUT_CYCLES:
                 self._end("timeout")
         self._ipoc, self._is_answered = self._ipoc + self.cycle_ms, False
+        self._past.append(self.axes)
         if not self.is_stopped:
             self._transmit(
                 "request",
-                rsi.telegram(rsi.Telegram(self._ipoc, self.axes, self.late, self._corrected - self._base)),
+                rsi.telegram(rsi.Telegram(self._ipoc, self._past[0], self.late, self._corrected - self._base)),
                 self._deliver,
             )
 

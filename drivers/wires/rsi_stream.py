@@ -8,8 +8,8 @@ path goes on from there, from rest to full speed within `RAMP` seconds.
 
 Once the controller is silent for too long, has started RSI again, or must have ended it, nothing is answered any more:
 corrections count from the axes at the beginning of RSI. It has started RSI again if its clock or its count of late
-answers begins again, or if its clock has jumped, the missed answers are not counted, and the corrections that it
-reports are not those of before. For the same reason a session that began with another client, whose telegrams count
+answers begins again, or if it does not count the answers that were missed, and the corrections that it reports are not
+those of before. For the same reason a session that began with another client, whose telegrams count
 late answers, is not answered until the controller has ended it.
 
 Only the sender of the first telegram is answered. An arm that begins outside its limits is not driven: its corrections
@@ -105,9 +105,15 @@ class CorrectedArm:
         return self.accepted - begin >= reference.duration - TICK and is_near
 
     def explains(self, applied: Floats, actual: Floats) -> bool:
-        """Return whether reported corrections and axes (6,) [rad] are those of the last answer or the one before it."""
+        """Return whether reported corrections and axes (6,) [rad] are those of the last answer or the one before it.
+
+        A new session begins without corrections, so others prove the session. The axes, which are behind while the arm
+        moves, are compared only without them.
+        """
         off = min(np.abs(applied - self._correction_at(moment)).max() for moment in (self.sent, self.accepted))
-        return bool(max(off, np.abs(actual - applied - self.base).max()) < _NEAR)
+        if np.abs(applied).max() < _NEAR:
+            off = max(off, np.abs(actual - applied - self.base).max())
+        return bool(off < _NEAR)
 
     def follow(self, reference: Reference) -> None:
         """Take a new reference; earlier ones are needed as long as their end is not accepted.
@@ -213,7 +219,7 @@ class Stream:
             if missed >= rsi.TIMEOUT_CYCLES:
                 self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
         counted = telegram.late - self._counted
-        is_uncounted = counted < missed - _LAG
+        is_uncounted = abs(counted - missed) > _LAG
         if (
             passed < 0
             or counted < 0

@@ -131,9 +131,8 @@ def estimate_normals(points: Floats, sensor_positions: Floats) -> Floats:
         return np.empty((0, 3))
     sight = np.broadcast_to(sensor_positions, points.shape) - points
     length = np.linalg.norm(sight, axis=1, keepdims=True)
-    sight = np.where(
-        length > 1e-12, sight / np.maximum(length, 1e-12), [0.0, 0.0, 1.0]
-    )  # also for a point at the sensor
+    # A point at the sensor has no direction to it: z stands for it.
+    sight = np.where(length > 1e-12, sight / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
     toward: NDArray[np.float32] = sight.astype(np.float32)
     if len(points) < 3:
         return sight

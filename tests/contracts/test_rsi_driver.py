@@ -11,12 +11,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from drivers.clock import RealTimeClock
-from drivers.contract import Fault, Mode
+from drivers.contract import Fault, Mode, Move
 from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.rsi import RsiController
 from drivers.errors import DriverError, DriverUrlError, FaultError, LinkError, LinkLostError, StoppedError
@@ -24,7 +25,7 @@ from drivers.registry import Context, DriverUrl
 from drivers.setpoints import PER_DEGREE, from_rad
 from drivers.wires import rsi
 from drivers.wires.rsi_link import RsiDriver
-from drivers.wires.rsi_stream import RAMP
+from drivers.wires.rsi_stream import RAMP, Stream
 from tests.support.driver_bench import HOME_Q, KR16
 
 HOME = from_rad(HOME_Q)
@@ -84,9 +85,9 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 @contextlib.contextmanager
-def serve(q: np.ndarray, cycle_ms: int = 12, injector: Injector | None = None) -> Iterator[Bench]:
+def serve(q: np.ndarray, cycle_ms: int = 12, injector: Injector | None = None, lag: int = 0) -> Iterator[Bench]:
     """Serve a controller at (6,) axes [rad] in a thread."""
-    controller = RsiController(q, RealTimeClock(), cycle_ms=cycle_ms, injector=injector)
+    controller = RsiController(q, RealTimeClock(), cycle_ms=cycle_ms, injector=injector, lag=lag)
     ended = threading.Event()
     thread = threading.Thread(target=controller.serve, args=(ended.is_set,), daemon=True)
     thread.start()
@@ -318,16 +319,20 @@ def test_a_restart_after_the_arm_was_moved_by_hand_is_found(bench: Bench) -> Non
     assert bench.controller.driven == []
 
 
-def test_missed_answers_that_are_counted_later_are_no_restart(bench: Bench) -> None:
-    """A controller may count them when it is answered again: its corrections are still the same."""
-    with bench.driver() as driver:
+@pytest.mark.parametrize(("cycle_ms", "lag", "seconds"), [(4, 0, 0.1), (12, 0, 0.1), (4, 15, 0.03), (12, 10, 0.07)])
+def test_missed_answers_that_are_counted_later_are_no_restart(cycle_ms: int, lag: int, seconds: float) -> None:
+    """A controller may count them when it is answered again: its corrections are still the same.
+
+    The axes that it reports may be behind.
+    """
+    with serve(HOME_Q.copy(), cycle_ms, lag=lag) as bench, bench.driver() as driver:
         process = driver._link._process  # type: ignore[attr-defined]
 
         def freeze() -> None:
             held, count = bench.controller.late, bench.controller.count_late
             bench.controller.count_late = lambda: None
             os.kill(process.pid, signal.SIGSTOP)
-            threading.Event().wait(0.1)
+            threading.Event().wait(seconds)
             os.kill(process.pid, signal.SIGCONT)
             threading.Event().wait(0.05)
             bench.controller.count_late = count
@@ -337,6 +342,73 @@ def test_missed_answers_that_are_counted_later_are_no_restart(bench: Bench) -> N
         assert driver.move(FAR, 0.3).axes.tolist() == FAR[0].tolist()
         thread.join(5.0)
     assert bench.deviation_deg(FAR) < 1e-5
+
+
+class Wire:
+    """A stream between a socket of lists and a client that says nothing, without time or processes."""
+
+    def __init__(self) -> None:
+        self.inbox: list[bytes] = []
+        self.answers: list[np.ndarray] = []
+        self.ipoc = 0
+        self.stream = Stream(self, SimpleNamespace(poll=lambda: False), KR16, 3.0)  # type: ignore[arg-type]
+
+    def recvfrom(self, size: int) -> tuple[bytes, str]:
+        """Return the waiting telegram."""
+        if not self.inbox:
+            raise BlockingIOError
+        return self.inbox.pop(), "controller"
+
+    def sendto(self, data: bytes, sender: str) -> None:
+        """Keep the corrections of an answer [deg]."""
+        self.answers.append(rsi.parse_answer(data)[1])
+
+    def exchange(self, axes: np.ndarray, late: int, applied: np.ndarray, cycles: int = 1) -> np.ndarray | None:
+        """Send the telegram after some cycles of 4 ms, and return the corrections of its answer [deg]."""
+        self.ipoc += 4 * cycles
+        self.inbox.append(rsi.telegram(rsi.Telegram(self.ipoc, axes, late, applied)))
+        self.answers.clear()
+        self.stream._answer_newest()
+        return self.answers[0] if self.answers else None
+
+    def drive(self, cycles: int) -> np.ndarray:
+        """Follow a move from rest for some cycles; return the corrections of each (cycles + 1, 6) [deg]."""
+        home, applied = HOME / PER_DEGREE, [np.zeros(6)]
+        for cycle in range(20 + cycles):
+            if cycle == 20:
+                assert self.stream._controller is not None
+                self.stream._controller.command(1, Move(FAR, 1.0))
+            answer = self.exchange(home + applied[-1], 0, applied[-1])
+            assert answer is not None
+            applied.append(answer)
+        return np.array(applied[20:])
+
+
+@pytest.mark.parametrize("cycles", [30, 60, 75])
+def test_a_clock_that_begins_again_in_a_short_session_is_a_restart(cycles: int) -> None:
+    """Its telegrams look delayed until its clock has passed the last one; then its late answers tell."""
+    wire = Wire()
+    applied = wire.drive(cycles)[-1]
+    assert applied[0] > 0.5
+    wire.ipoc = 0
+    for late in range(3 * cycles):
+        assert wire.exchange(HOME / PER_DEGREE + applied, late, np.zeros(6)) is None
+    assert wire.stream._arm is not None
+    assert "started RSI again" in wire.stream._arm.failure
+
+
+@pytest.mark.parametrize("missed", [3, 5, 40])
+def test_axes_that_are_behind_are_no_restart(missed: int) -> None:
+    """Reported axes are 60 ms behind; the missed answers are counted one telegram later."""
+    wire = Wire()
+    applied = wire.drive(100)
+    behind, last = HOME / PER_DEGREE + applied[-15], applied[-1]
+    assert last[0] - applied[-15, 0] > 1.0
+    answer = wire.exchange(behind, 0, last, 1 + missed)
+    assert answer is not None
+    again = wire.exchange(HOME / PER_DEGREE + last, missed, last)
+    assert again is not None
+    assert again.tolist() == last.tolist()
 
 
 def test_a_clock_that_begins_again_is_a_restart() -> None:

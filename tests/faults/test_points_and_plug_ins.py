@@ -78,6 +78,39 @@ def test_points_that_are_no_scan(points: Any, words: str) -> None:
         require_scan(acquired, VIEW, [200.0, 900.0])
 
 
+@pytest.mark.parametrize(
+    ("pixel", "grid_shape"),
+    [
+        ([0, 6], [2, 3]),
+        ([-1, 2], [2, 3]),
+        ([0.0, 1.0], [2, 3]),
+        ([0], [2, 3]),
+        ([0, 1], [2.0, 3.0]),
+        ([0, 1], [6]),
+        ([0, 1], [-2, -3]),
+        ([0, 1], [0, 3]),
+        (None, [2, 3]),
+        ([0, 1], None),
+    ],
+)
+def test_an_invalid_grid(pixel: list[float] | None, grid_shape: list[float] | None) -> None:
+    """Pixels outside the grid, fractions, and one of the two arrays alone are refused before they are stored."""
+    given = {"pixel": pixel, "grid_shape": grid_shape}
+    arrays = {name: np.array(values) for name, values in given.items() if values is not None}
+    acquired = Acquired(np.array([[0.0, 0.0, 0.3], [0.0, 0.1, 0.3]]), "scanner", arrays)
+    with pytest.raises(FileError, match=r"the points of view 3 have an invalid grid: .*rows and columns"):
+        require_scan(acquired, VIEW, [200.0, 900.0])
+
+
+@pytest.mark.parametrize("kind", ["u1", "u8", "i4"])
+def test_a_grid_with_holes(kind: str) -> None:
+    """Integers of any size are pixels; a scan without points keeps its grid."""
+    points, shape = np.array([[0.0, 0.0, 0.3], [0.0, 0.1, 0.3]]), np.array([2, 3], dtype=kind)
+    require_scan(Acquired(points, "scanner", {"pixel": np.array([0, 5], kind), "grid_shape": shape}), VIEW, None)
+    empty = {"pixel": np.empty(0, dtype=kind), "grid_shape": shape}
+    require_scan(Acquired(np.empty((0, 3)), "scanner", empty), VIEW, None)
+
+
 def test_points_that_are_a_scan() -> None:
     """Points within the range and outliers behind it are kept; so is a scan without points."""
     for points in (np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 2.0]]), np.empty((0, 3))):

@@ -185,6 +185,34 @@ def test_a_view_without_a_usable_frame_is_missing(settings: str, words: str) -> 
     assert notes[0].startswith("view 3 is missing: ")
 
 
+def test_a_device_that_is_lost_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lost device refuses to be flushed: the view is missing, and producers are released all the same."""
+    notes: list[str] = []
+    source, released = open_device(f"0?producer={PRODUCER}", notes=notes), list[str]()
+    reset = harvesters.Harvester.reset
+
+    def fail(words: str) -> Callable[..., None]:
+        def call(*arguments: object, **options: object) -> None:
+            raise genicam.gentl.IoException(words)
+
+        return call
+
+    def reset_and_fail(harvester: Any) -> None:
+        monkeypatch.undo()
+        reset(harvester)
+        released.append("producer")
+        raise genicam.gentl.IoException("cannot be closed")
+
+    monkeypatch.setattr(harvesters.ImageAcquirer, "try_fetch", fail("the cable is out"))
+    monkeypatch.setattr(harvesters.ImageAcquirer, "_flush_buffers", fail("cannot be flushed"))
+    monkeypatch.setattr(harvesters.Harvester, "reset", reset_and_fail)
+    assert source.take(SimpleNamespace(stop=3)) is None
+    assert released == ["producer"]
+    assert len(notes) == 1
+    assert notes[0].startswith("view 3 is missing: the device of --acquire genicam:0 fails: ")
+    assert source.take(SimpleNamespace(stop=4)) is not None
+
+
 def coordinate_nodes(prefix: str, axes: dict[str, tuple[float, float]], missing: float | None) -> str:
     """Return the features of scale, offset and missing data of each axis."""
     entries = "".join(
@@ -244,6 +272,17 @@ def test_a_rectified_range_map_of_whole_numbers() -> None:
                 assert np.isnan(grid.points[row, column, 2])
             else:
                 np.testing.assert_allclose(grid.points[row, column], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("missing", [-9999.9, 1e300])
+def test_the_value_of_missing_data_is_rounded_like_the_data(missing: float) -> None:
+    """A device states it as a double and sends floats of 32 bits."""
+    with np.errstate(over="ignore"):
+        raw = np.array([[[1.0, 2.0, 3.0], [1.0, 2.0, missing]]]).astype("<f4")
+    nodes = nodes_of("CalibratedABC_Grid", AXES, missing=missing)
+    points = read_frame([component("Coord3D_ABC32f", raw, (1, 2))], nodes).points
+    np.testing.assert_allclose(points[0, 0], [-2.5, 2.5, 400.03])
+    assert np.isnan(points[0, 1, 2])
 
 
 @pytest.mark.parametrize(
@@ -322,6 +361,16 @@ def test_holes_are_missing_points_of_the_grid(option: str, pixels: list[int], mo
     assert taken.arrays["confidence"].tolist() == confidence.ravel()[pixels].tolist()
     np.testing.assert_array_equal(taken.points, 0.001 * points.reshape(-1, 3)[pixels])
     assert taken.details == {"missing": 6 - len(pixels)}
+
+
+def test_a_device_with_several_data_streams_is_refused() -> None:
+    """Its frames come as a list, one of each stream; which one has the points is not guessed."""
+    camera = SimpleNamespace(
+        remote_device=SimpleNamespace(node_map=nodes_of("RectifiedC", AXES)),
+        try_fetch=lambda timeout: [None, None], start=lambda: None, stop=lambda: None,
+    )  # fmt: skip
+    with pytest.raises(_FrameError, match="several data streams"):
+        _capture(camera, 1.0)
 
 
 def test_a_software_trigger_is_given_for_each_frame() -> None:

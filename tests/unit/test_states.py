@@ -3,6 +3,7 @@
 import json
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,12 +13,17 @@ import pytest
 from cell.errors import FileError, UsageError
 from cell.runs.run import open_finished
 from cell.scan.states import StateLog, record_states
+from drivers.client import ControllerClient
 from drivers.clock import RealTimeClock, SimulatedClock
-from drivers.contract import Mode, RobotState
+from drivers.contract import Mode, Move, RobotState
+from drivers.errors import PathError, RefusedError, StateUnknownError
+from drivers.path_watch import PathWatch
 from drivers.registry import Context, open_driver
-from drivers.setpoints import PER_DEGREE, from_rad
+from drivers.setpoints import PER_DEGREE, SetPoints, from_rad
 from tests.support.arms import HOME, KR16
 from tests.support.fixture_types import RunCommand
+
+FAR = (from_rad(HOME) + PER_DEGREE * np.array([40, 0, 0, 0, 0, 0]))[None].astype(np.int32)
 
 
 def rows_of(path: Path) -> list[dict]:
@@ -73,7 +79,6 @@ def test_a_file_that_fails_stops_the_arm(tmp_path: Path) -> None:
     folder.mkdir()
     driver = open_driver("sim://", Context(KR16, clock))
     record_states(driver, clock, folder / "states.jsonl", ["A1"])
-    goal = from_rad(HOME) + PER_DEGREE * np.array([40, 0, 0, 0, 0, 0], dtype=np.int32)
     with driver:
         record = driver.on_state  # type: ignore[attr-defined]
         seen: list[RobotState] = []
@@ -86,10 +91,91 @@ def test_a_file_that_fails_stops_the_arm(tmp_path: Path) -> None:
 
         driver.on_state = remove  # type: ignore[attr-defined]
         with pytest.raises(FileError, match=r"states\.jsonl cannot be written"):
-            driver.move(goal[None], 0.3)
+            driver.move(FAR, 0.3)
         while not (state := driver.state()).at_rest:
             clock.wait(0.01)
-        assert from_rad(HOME)[0] < state.axes[0] < goal[0]
+        assert from_rad(HOME)[0] < state.axes[0] < FAR[0, 0]
+
+
+@pytest.mark.parametrize("cause", [KeyboardInterrupt(), PathError("the arm has left its path")])
+def test_a_file_that_fails_during_a_stop_does_not_replace_the_cause(
+    cause: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arm is at rest, the cause is raised and is not forgotten, and the failure of the file is a note."""
+    clock, folder, notes = SimulatedClock(), tmp_path / "states", list[str]()
+    folder.mkdir()
+    driver = open_driver("sim://", Context(KR16, clock, notify=notes.append))
+    assert isinstance(driver, ControllerClient)
+    record_states(driver, clock, folder / "states.jsonl", ["A1"])
+    seen: list[SetPoints] = []
+
+    def update(watch: PathWatch, axes: SetPoints, now: float) -> None:
+        seen.append(axes)
+        if len(seen) == 5:
+            shutil.rmtree(folder)
+            raise cause
+
+    monkeypatch.setattr(PathWatch, "update", update)
+    with driver:
+        with pytest.raises(type(cause)) as raised:
+            driver.move(FAR, 0.3)
+        assert raised.value is cause
+        assert len(notes) == 1
+        assert "states.jsonl cannot be written" in notes[0]
+        assert driver.state().at_rest
+        if isinstance(cause, PathError):
+            with pytest.raises(StateUnknownError, match="the arm has left its path"):
+                driver.move(from_rad(HOME)[None], 0.3)
+
+
+def test_a_file_that_fails_during_a_stop_is_raised_at_rest(tmp_path: Path) -> None:
+    """A stop without a cause of its own ends with the failure, after the arm is at rest."""
+    clock, folder = SimulatedClock(), tmp_path / "states"
+    folder.mkdir()
+    driver = open_driver("sim://", Context(KR16, clock))
+    assert isinstance(driver, ControllerClient)
+    record_states(driver, clock, folder / "states.jsonl", ["A1"])
+    with driver:
+        driver.take()
+        driver._ledger.send(Move(FAR, 0.3))
+        clock.wait(0.5)
+        shutil.rmtree(folder)
+        with pytest.raises(FileError, match=r"states\.jsonl cannot be written"):
+            driver.stop()
+        state = driver.state()
+        assert state.at_rest
+        assert from_rad(HOME)[0] < state.axes[0] < FAR[0, 0]
+
+
+def test_a_fault_is_kept_if_its_state_cannot_be_written() -> None:
+    """The reset stays necessary, although the controller reports the fault only once."""
+    driver = open_driver("sim://", Context(KR16, SimulatedClock()))
+    assert isinstance(driver, ControllerClient)
+
+    def fail(state: RobotState) -> None:
+        raise FileError("states.jsonl cannot be written")
+
+    with driver:
+        state = driver.state()
+        read, driver.on_state = driver._link.state, fail
+        driver._link.state = lambda: replace(state, mode=Mode.FAULT, fault_code=4001)  # type: ignore[method-assign]
+        with pytest.raises(FileError):
+            driver.state()
+        driver._link.state, driver.on_state = read, None  # type: ignore[method-assign]
+        with pytest.raises(RefusedError, match="no longer reported and was not reset"):
+            driver.require_ready()
+
+
+def test_a_file_without_states_is_not_left_behind(tmp_path: Path) -> None:
+    """The file begins with its first line; an earlier file is kept."""
+    path = tmp_path / "states.jsonl"
+    log = StateLog(path, ["A1"], SimulatedClock())
+    assert not path.exists()
+    log.record(RobotState(Mode.IDLE, from_rad(HOME), True))
+    content = path.read_bytes()
+    assert len(rows_of(path)) == 1
+    StateLog(path, ["A1"], SimulatedClock())
+    assert path.read_bytes() == content
 
 
 def test_another_driver_is_refused(tmp_path: Path) -> None:
