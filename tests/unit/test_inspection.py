@@ -614,15 +614,15 @@ class TestVerdictRates:
         scans = [points_on(block, 4000, self.SIGMA, seed) for seed in range(self.N_SCANS)]
         rows = [inspected(block, points, plan, self.SIGMA).result.characteristics for points in scans]
         error = np.array([[each.value for each in row] for row in rows]) - true
-        U = np.array([[each.expanded_uncertainty for each in row] for row in rows])
+        uncertainty = np.array([[each.expanded_uncertainty for each in row] for row in rows])
         assert np.abs(error).max() < 0.1
 
         def share(distance: float, verdict: Verdict) -> float:
             """Return the share of a verdict, with a true value a number of U below the upper limit."""
-            limits = distance * U.mean(axis=0)
+            limits = distance * uncertainty.mean(axis=0)
             found = [
                 verdict_of(value, u, -np.inf, limit)
-                for row, us in zip(error, U, strict=True)
+                for row, us in zip(error, uncertainty, strict=True)
                 for value, u, limit in zip(row, us, limits, strict=True)
             ]
             return float(np.mean([each is verdict for each in found]))
