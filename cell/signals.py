@@ -54,9 +54,10 @@ def last_signal() -> str:
 
 def is_interruption(error: BaseException) -> bool:
     """Return whether a signal caused an error; compiled kernels turn `KeyboardInterrupt` into `SystemError`."""
-    return isinstance(error, KeyboardInterrupt) or (
-        isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt)
-    )
+    cause: BaseException | None = error
+    while isinstance(cause, SystemError):
+        cause = cause.__cause__
+    return isinstance(cause, KeyboardInterrupt)
 
 
 def handle_termination() -> None:

@@ -1,11 +1,15 @@
 """Compilation of the kernels of selection and ordering, by a small problem of each.
 
 The first command after an installation compiles all kernels. A plan needs these last, so that a second process can
-compile them meanwhile (`start`); each kernel is cached when it is compiled.
+compile them meanwhile (`share_compilation`); each kernel is cached when it is compiled.
 """
 
+import atexit
+import multiprocessing
+import os
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -20,17 +24,17 @@ N_ROWS, N_COLUMNS, N_VIEWS = 300, 120, 16
 
 
 def share_compilation() -> None:
-    """Start the second process when this one compiles its first kernel."""
-    compiled.call_at_first_compilation(_start)
+    """Start the second process when this one compiles its first kernel; workers of a study start none."""
+    if multiprocessing.parent_process() is None and (os.cpu_count() or 1) > 1:
+        compiled.call_at_first_compilation(_start)
 
 
 def _start() -> None:
+    """Start the second process, which ends with this one at the latest; without it kernels are compiled later."""
     quiet = subprocess.DEVNULL
     command = [sys.executable, "-P", "-c", "from planner.first_use import compile_late_kernels as run; run()"]
-    _started.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
-
-
-_started: list[subprocess.Popen[bytes]] = []  # a process that is not referenced any more causes a warning
+    with suppress(OSError, TypeError):  # TypeError: an embedded Python without sys.executable
+        atexit.register(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet).kill)
 
 
 def compile_late_kernels() -> None:

@@ -31,14 +31,17 @@ def deferred_interrupt() -> Iterator[None]:
             act(number, frame)
         _state["is_pressed"] = True
 
-    _state["is_deferred"] = True
-    signal.signal(signal.SIGINT, defer)
     try:
+        _state["is_deferred"] = True
+        signal.signal(signal.SIGINT, defer)
         yield
         raise_interrupt()
-    finally:
-        _state.update(is_deferred=False, is_pressed=False)
+    finally:  # Ctrl-C may come between any two of these statements
+        _state["is_deferred"] = False
         signal.signal(signal.SIGINT, handler)
+        is_pressed, _state["is_pressed"] = _state["is_pressed"], False
+    if is_pressed:
+        raise KeyboardInterrupt
 
 
 def raise_interrupt() -> None:

@@ -19,7 +19,7 @@ from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
-from planner.interrupts import deferred_interrupt
+from planner.interrupts import deferred_interrupt, raise_interrupt
 from planner.measurability.direction_table import DirectionTable
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import VisibilityMemo, find_measured
@@ -149,7 +149,9 @@ def search_views(
         with deferred_interrupt():
             samples, weights = draw_evaluated([(problem.M, problem.usable())], surface, len(initial), rng)
             table = make_table(samples, known)
+            raise_interrupt()
             pool_measured = table.measured(pool.T_object_scanner)
+            raise_interrupt()
             coverable = pool_measured.any(axis=0)
             needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=0))
             shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)

@@ -305,7 +305,7 @@ def drive(
                 progress(number, len(plan.segments))
     except BaseException as error:
         with suppress(FileError):  # a full disk must not hide the cause
-            if isinstance(error, KeyboardInterrupt):
+            if signals.is_interruption(error):
                 record("interrupted", reason=f"stopped by {signals.last_signal()}")
             else:
                 record("failed", reason=str(error))

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.compiled import compiled
+from planner.interrupts import raise_interrupt
 from planner.ports import AreaLimits, DirectionCaster, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Ints32, Value
 from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
@@ -275,6 +276,7 @@ def _cast(
     free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
     free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
     for first in range(0, len(lifted), _TOGETHER):
+        raise_interrupt()
         some = slice(first, first + _TOGETHER)
         origins, local, part = lifted[some], frames[some], free[some]
         step = _COARSEST

@@ -62,6 +62,19 @@ def test_the_second_process_compiles_the_kernels_of_selection_and_ordering(tmp_p
     assert not {name for name in others if name.startswith(("planner.cover", "planner.tour"))}
 
 
+def test_a_process_that_does_not_start_is_no_failure(tmp_path):
+    """The second process is optional: a missing interpreter ends no command."""
+    code = """
+import sys
+from planner.first_use import share_compilation
+share_compilation()
+sys.executable = "/missing/python"
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code + _CALL], env=environment, check=True, capture_output=True)
+    assert b"compiling inner loops" in done.stderr
+
+
 def test_the_first_compilation_calls_functions(tmp_path):
     """A function that is registered twice is called once, at the first compilation, and not without one."""
     code = """

@@ -20,7 +20,10 @@ def test_ctrl_c_in_a_compiled_kernel_is_no_bug(capsys: pytest.CaptureFixture[str
     """Numba raises SystemError from the KeyboardInterrupt while it converts arguments or results."""
 
     def run() -> None:
-        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+        try:
+            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+        except SystemError as error:
+            raise SystemError("of the caller, another kernel") from error
 
     assert report_errors(run, as_json=False) == INTERRUPTED
     assert "stopped by Ctrl-C" in capsys.readouterr().err

@@ -595,6 +595,44 @@ class TestResults:
         assert b"bore: position" in first["features.html"]
 
 
+class TestVerdictRates:
+    """Verdicts of measured values whose true value is near a limit; U is twice the standard deviation."""
+
+    N_SCANS, SIGMA = 60, 5e-5
+
+    def test_rates_beside_limits(self, block: Workpiece) -> None:
+        """Half a U beside a limit 84 % of the scans are undecided (normal distribution); at 3 U all verdicts are right.
+
+        The 120 values are two independent characteristics of 60 scans: a share of 84 % is known to 3.3 points.
+        """
+        tables = [
+            {"name": "left", "faces": (1,)},
+            {"name": "right", "faces": (2,), "characteristic": [{"kind": "distance", "to": "left", **LIMITS}]},
+            {"name": "bore", "faces": (7,), "characteristic": [{"kind": "size", **LIMITS}]},
+        ]
+        plan, true = plan_of(block, tables), np.array([60.0, 16.0])
+        scans = [points_on(block, 4000, self.SIGMA, seed) for seed in range(self.N_SCANS)]
+        rows = [inspected(block, points, plan, self.SIGMA).result.characteristics for points in scans]
+        error = np.array([[each.value for each in row] for row in rows]) - true
+        uncertainty = np.array([[each.expanded_uncertainty for each in row] for row in rows])
+        assert np.abs(error).max() < 0.1
+
+        def share(distance: float, verdict: Verdict) -> float:
+            """Return the share of a verdict, with a true value a number of U below the upper limit."""
+            limits = distance * uncertainty.mean(axis=0)
+            found = [
+                verdict_of(value, u, -np.inf, limit)
+                for row, us in zip(error, uncertainty, strict=True)
+                for value, u, limit in zip(row, us, limits, strict=True)
+            ]
+            return float(np.mean([each is verdict for each in found]))
+
+        assert 0.74 < share(0.5, Verdict.UNDECIDED) < 0.94
+        assert 0.74 < share(-0.5, Verdict.UNDECIDED) < 0.94
+        assert share(3.0, Verdict.PASS) == 1.0
+        assert share(-3.0, Verdict.FAIL) == 1.0
+
+
 class TestPrediction:
     def views(self) -> Floats:
         """Return views (n, 4, 4) of the block from above, from the sides and from below."""

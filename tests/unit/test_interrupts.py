@@ -2,9 +2,11 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -59,6 +61,41 @@ def test_the_second_ctrl_c_acts_at_once() -> None:
     with pytest.raises(KeyboardInterrupt):
         run_deferred(press_ctrl_c, press_ctrl_c, lambda: done.append("after the second"))
     assert not done
+
+
+def test_ctrl_c_after_the_last_question_is_not_lost() -> None:
+    """Ctrl-C at any instruction of the end of a block is raised, and the next block begins without it."""
+
+    def trace(frame: FrameType, event: str, argument: object) -> object:
+        """Press Ctrl-C at the instruction whose number is next, in the function of the block."""
+        if frame.f_code.co_name != "deferred_interrupt":
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            seen[0] += 1
+            if seen[0] == moment:
+                sys.settrace(None)
+                press_ctrl_c()
+        return trace
+
+    before = signal.getsignal(signal.SIGINT)
+    for moment in range(1, 400):
+        seen, is_raised = [0], False
+        try:
+            sys.settrace(trace)
+            run_deferred()
+        except KeyboardInterrupt:
+            is_raised = True
+        finally:
+            sys.settrace(None)
+        assert signal.getsignal(signal.SIGINT) is before
+        if seen[0] < moment:
+            break
+        assert is_raised, moment
+        run_deferred(raise_interrupt)
+    else:
+        pytest.fail("the block has more instructions")
+    assert moment > 40
 
 
 def test_an_error_of_the_block_is_not_replaced() -> None:
