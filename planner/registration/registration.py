@@ -20,7 +20,7 @@ from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud, ScanCloud, estimate_normals, point_spacing
-from planner.registration.observability import FreeMotion, describe, free_motions, split_directions
+from planner.registration.observability import WEAK, FreeMotion, describe, free_motions, split_directions
 from planner.registration.rigid import length_scale, motion_from_vector, screw_from_motion, transform_points
 from planner.values import Floats, Ints, Value
 
@@ -323,7 +323,8 @@ def fit_majority(points: Floats, nearest: ClosestPointQuery, T: Floats, reach: f
     """Return the motion (4, 4) of points to a surface that most of them fit, from one near it.
 
     A redescending weight alone may lock in a moved feature, with most of the surface as outliers. The sum of absolute
-    distances has one minimum in the linear range; from it, Tukey's weights remove the influence of outliers.
+    distances has one minimum in the linear range; from it, Tukey's weights remove the influence of outliers. Motions
+    that the surface hardly determines, such as turns of a cylinder about its axis, are left as they are.
 
     Args:
         points: (N, 3) [m].
@@ -336,6 +337,8 @@ def fit_majority(points: Floats, nearest: ClosestPointQuery, T: Floats, reach: f
         there = transform_points(T, points)
         closest = nearest.closest(there)
         near = closest.distance <= reach
+        if near.sum() < MIN_MATCHES:
+            break
         normals, centre = nearest.normals(closest)[near], there[near].mean(axis=0)
         off = np.einsum("nj,nj->n", (there - closest.point)[near], normals)
         length = float(np.sqrt(((there[near] - centre) ** 2).sum(axis=1).mean()))
@@ -348,7 +351,7 @@ def fit_majority(points: Floats, nearest: ClosestPointQuery, T: Floats, reach: f
                 weight = np.maximum(1 - (left / scale) ** 2, 0) ** 2
             else:
                 weight = 1 / np.maximum(left, _MIN_SCALE)
-            change = -np.linalg.pinv((J * weight[:, None]).T @ J, 1e-9) @ (J.T @ (weight * off))
+            change = -np.linalg.pinv((J * weight[:, None]).T @ J, WEAK) @ (J.T @ (weight * off))
         T = motion_from_vector(np.concatenate([change[:3], change[3:] / length]), centre) @ T
     return T
 

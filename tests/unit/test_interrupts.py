@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 import numpy as np
@@ -13,6 +13,14 @@ import pytest
 
 from planner.cover.budget import Budget, interruptible
 from planner.interrupts import deferred_interrupt, raise_interrupt
+
+
+@pytest.fixture(autouse=True)
+def _python_raises_at_ctrl_c() -> Iterator[None]:
+    """Install Python's own handler, which processes of test runners may have replaced."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def press_ctrl_c() -> None:
