@@ -6,7 +6,6 @@ and carries the errors of its views: uncertainty follows from cells alone. The p
 measured points yet. Object frame, metres.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -383,8 +382,3 @@ def _cells(
         np.asarray(np.linalg.qr((gain / np.sqrt(weight)).T, mode="r")).T,
         shape_lever,
     )
-
-
-def patches_of(features: Mapping[str, MeasuredFeature], names: Sequence[str]) -> list[MeasuredPatch]:
-    """Return the patches of some features, in order."""
-    return [patch for name in names for patch in features[name].patches]

@@ -242,11 +242,6 @@ def place_option(row: Row) -> str:
     return f"--place {','.join(f'{row.get(axis, 0.0):.10g}' for axis in (*AXES, *_TILT))}"
 
 
-def cycle_text(row: Row) -> str:
-    """Return the cycle time as the end of a sentence; "" if there is none."""
-    return "" if row["cycle s"] is None else f" in about {row['cycle s']:.0f} s (estimate from straight joint moves)"
-
-
 def planned_text(row: Row) -> str:
     """Return the numbers of a plan as the end of a sentence."""
     proven = ", no fewer are possible with its candidates" if row["planned bound"] == row["planned views"] else ""

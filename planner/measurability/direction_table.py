@@ -328,24 +328,6 @@ def turn_nodes(nodes: Floats32, frames: Floats32, sample: Ints, node: Ints) -> F
 
 
 @compiled
-def subdivide(free: Bytes, step: int) -> None:
-    """Set the nodes of the next finer level: the value of their coarser neighbours, or `_TO_CAST` if these differ."""
-    size = free.shape[1]
-    for s in range(free.shape[0]):
-        for i in range(0, size, step):
-            odd_i = (i // step) % 2
-            for j in range(0, size, step):
-                odd_j = (j // step) % 2
-                if odd_i + odd_j == 0:
-                    continue
-                low_i, high_i = i - step * odd_i, i + step * odd_i
-                low_j, high_j = j - step * odd_j, j + step * odd_j
-                a, b = free[s, low_i, low_j], free[s, high_i, high_j]
-                c, d = free[s, low_i, high_j], free[s, high_i, low_j]
-                free[s, i, j] = a if a == b and c == d and a == c else _TO_CAST
-
-
-@compiled
 def gather_blocks(frames: Floats32, rows: Ints) -> Floats32:
     """Return the frames of rows in blocks (B, 12, `_BLOCK`), filled up with zeros, which no pose measures."""
     found = np.zeros(((len(rows) + _BLOCK - 1) // _BLOCK, 12, _BLOCK), dtype=np.float32)
