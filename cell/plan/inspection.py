@@ -3,6 +3,7 @@
 Planning imports this module only for scenes with characteristics: it needs SciPy's optimizers and the page's code.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +22,18 @@ from cell.runs import ply
 from cell.runs.folder import RunFolder
 from cell.runs.schema import parsed
 from cell.scene.model import Scene
+from cell.scene.settle import SettledScene
 from cell.world.measurability import PartSurface
+from planner.geometry.mesh import TriangleMesh
 
-__all__ = ["add_certain_views", "uncertainty_section", "with_feature_regions", "write_features"]
+__all__ = [
+    "PlannedViews",
+    "add_certain_views",
+    "setups_section",
+    "uncertainty_section",
+    "with_feature_regions",
+    "write_features",
+]
 
 
 def write_features(folder: RunFolder, scene: Scene, part: Workpiece) -> tuple[str, ...]:
@@ -62,16 +72,30 @@ def uncertainty_section(
     session: PlanSession, scene: Scene, problem: SelectionProblem, plan: ConnectedPlan, *, is_noted: bool
 ) -> list[str]:
     """Predict and write the uncertainty of the characteristics, note unmet demands, and return the report's section."""
-    prediction, options, folder = problem.prediction, scene.plan, session.folder
-    if not callable(getattr(prediction.scanner, "sigma", None)):
+    known, folder = problem.prediction, session.folder
+    reference = ply.mesh((folder.path / "reference.ply").read_bytes())
+    views = [PlannedViews(plan.driven.T_object_poses, known.scanner, known.casters)]
+    return _section(session, scene, _plan_of(folder), reference, views, is_noted=is_noted)
+
+
+def setups_section(
+    session: PlanSession, settled: SettledScene, reference: TriangleMesh, setups: Sequence[PlannedViews]
+) -> list[str]:
+    """Predict and write the uncertainty of the characteristics by all set-ups, as `uncertainty_section` does."""
+    plan = plan_inspection(settled.scene, settled.part)
+    return [] if plan is None else _section(session, settled.scene, plan, reference, setups, is_noted=True)
+
+
+def _section(
+    session: PlanSession, scene: Scene, plan: InspectionPlan, reference: TriangleMesh, setups: Sequence[PlannedViews],
+    *, is_noted: bool,
+) -> list[str]:  # fmt: skip
+    if not all(callable(getattr(each.scanner, "sigma", None)) for each in setups):
         session.note("the uncertainty of characteristics is not predicted: the scanner has no model of its noise")
         return []
-    found = predict_plan(
-        _plan_of(folder), ply.mesh((folder.path / "reference.ply").read_bytes()),
-        [PlannedViews(plan.driven.T_object_poses, prediction.scanner, prediction.casters)],
-        (options.pose_sd_mm, options.pose_sd_deg), Path(scene.part.source).stem,
-    )  # fmt: skip
-    folder.write_json(PREDICTED, found.as_json())
+    pose_sd = (scene.plan.pose_sd_mm, scene.plan.pose_sd_deg)
+    found = predict_plan(plan, reference, setups, pose_sd, Path(scene.part.source).stem)
+    session.folder.write_json(PREDICTED, found.as_json())
     for each in found.characteristics if is_noted else ():
         if each.cause:
             session.note(f"{each.name}: {each.cause}")

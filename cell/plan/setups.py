@@ -153,24 +153,15 @@ def _predicted_section(
     """Predict the uncertainty of the characteristics by all set-ups, note unmet demands; return the section."""
     if not settled.scene.has_features:
         return []
-    from cell.inspect.artefacts import PREDICTED
-    from cell.inspect.inspection import plan_inspection, predict_plan
-    from cell.inspect.prediction import PlannedViews
-    from cell.inspect.results import markdown
+    from cell.plan import inspection
 
-    plan, options = plan_inspection(settled.scene, settled.part), settled.scene.plan
     known = {row: setups[row].measured.prediction for row in connected}
-    if plan is None or not all(callable(getattr(each.scanner, "sigma", None)) for each in known.values()):
-        return []
+    views = [
+        inspection.PlannedViews(connected[row].T_object_poses, each.scanner, each.casters)
+        for row, each in known.items()
+    ]
     with session.stage("predict the uncertainty"):
-        views = [PlannedViews(connected[row].T_object_poses, each.scanner, each.casters) for row, each in known.items()]
-        pose_sd = (options.pose_sd_mm, options.pose_sd_deg)
-        found = predict_plan(plan, surface.reference, views, pose_sd, settled.part.name)
-    session.folder.write_json(PREDICTED, found.as_json())
-    for each in found.characteristics:
-        if each.cause:
-            session.note(f"{each.name}: {each.cause}")
-    return markdown(found)
+        return inspection.setups_section(session, settled, surface.reference, views)
 
 
 def _regions_without_samples(settled: SettledScene, reference: TriangleMesh, samples: SurfaceSamples) -> list[str]:
