@@ -48,6 +48,7 @@ REGISTRY = {
     "candidates": "candidate generators: seconds, views and coverable area of the plan of every part",
     "free_poses": "attainable coverage of any pose of the arm, compared with that of the candidates",
     "pose_search": "views over the effort of the pose search: views, coverage and motion beside processor seconds",
+    "versions": "the main jobs beside another version on every part: views, bound, coverage, seconds, memory",
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked lines of sight against float64 brute force; a matrix of 10,000 x 10,000; share of Embree",
     "coverage_requests": "curve, overlap and pose errors: processor seconds and remaining gap",

@@ -13,18 +13,25 @@ from cell.errors import CellError
 _GOOD = (0, 3)  # exit codes that leave a plan; 3: below the coverage that the scene requires
 
 
-def run_cell(folder: Path, *arguments: str, cache: Path | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+def run_cell(
+    folder: Path, *arguments: str, cache: Path | None = None, code: Path | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Run a command and return its JSON and its use: "s" on the wall clock, "cpu s" of all cores, "peak MB".
 
     Args:
         folder: receives the output of the command.
         arguments: arguments of the command line; `--json` is added.
         cache: cache folder in place of the user's.
+        code: checkout of the version to run; None: this one.
 
     Raises:
         CellError: if the command fails; it has the sentence of the command.
     """
-    environment = dict(os.environ) if cache is None else {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    environment = dict(os.environ)
+    if cache is not None:
+        environment["XDG_CACHE_HOME"] = str(cache)
+    if code is not None:
+        environment["PYTHONPATH"] = str(code)
     out, err = folder / "stdout", folder / "stderr"
     with out.open("wb") as stdout, err.open("wb") as stderr:
         start = perf_counter()
@@ -36,7 +43,7 @@ def run_cell(folder: Path, *arguments: str, cache: Path | None = None) -> tuple[
         process.returncode = os.waitstatus_to_exitcode(status)
     seconds = perf_counter() - start
     if process.returncode not in _GOOD:
-        told = err.read_text().strip().splitlines()
-        raise CellError(told[-1] if told else f"cell {arguments[0]} ended with code {process.returncode}")
+        message = err.read_text().strip().splitlines()
+        raise CellError(message[-1] if message else f"cell {arguments[0]} ended with code {process.returncode}")
     took = {"s": seconds, "cpu s": usage.ru_utime + usage.ru_stime, "peak MB": usage.ru_maxrss // 1024}
     return json.loads(out.read_text()), took

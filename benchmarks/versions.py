@@ -1,0 +1,101 @@
+"""The main jobs of this version beside another one: views, bound, coverage, motion, time and memory on every part.
+
+SCAN_CELL_OTHER is a checkout of the other version; without it, only this version runs. SCAN_CELL_JOBS names jobs
+(default "plan,scan,table": also "setups,explore,inspect"), SCAN_CELL_PARTS names parts of benchmarks/parts.py (default:
+all). Both versions run one after the other on each part, in the Python of this process, each once: kernels are compiled
+before by a plan of each version. Each row is printed when it is complete.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cell
+from benchmarks.cell_process import run_cell
+from benchmarks.parts import parts, place
+from cell.errors import CellError
+
+_HERE = Path(cell.__file__).parents[1]
+
+
+def run() -> list[dict[str, Any]]:
+    """Return one row for each part, job and version."""
+    other, jobs = os.environ.get("SCAN_CELL_OTHER"), os.environ.get("SCAN_CELL_JOBS", "plan,scan,table").split(",")
+    wanted = os.environ.get("SCAN_CELL_PARTS")
+    versions = ([("other", Path(other))] if other else []) + [("this", _HERE)]
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for version, code in versions:
+            run_cell(folder, "plan", "--place", place(), "--out", str(folder / f"warm_{version}"), code=code)
+        for name, arguments in parts(folder):
+            if wanted and name.removesuffix(" (file)") not in wanted.split(","):
+                continue
+            for job in jobs:
+                for version, code in versions:
+                    out = folder / f"{name.split()[0]}_{version}"
+                    rows.append(
+                        {"part": name, "job": job, "version": version} | _row(job, arguments, out, folder, code)
+                    )
+                    print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- keeps rows of an interrupted run
+    return rows
+
+
+def _row(job: str, arguments: tuple[str, ...], out: Path, folder: Path, code: Path) -> dict[str, Any]:
+    own = Path(f"{out}_{job}")
+    words = {
+        "plan": ("plan", *arguments, "--place", place(), "--out", str(out)),
+        "scan": ("scan", str(out)),
+        "table": ("plan", *arguments, "--table", "--place", place(), "--out", str(own)),
+        "setups": ("setups", *arguments, "--place", place(), "--out", str(own)),
+        "explore": ("explore", *arguments, "--place", place(), "--out", str(own)),
+        "inspect": ("inspect", str(out), "--part", *arguments, "--out", str(own)),
+    }[job]
+    try:
+        values, use = run_cell(folder, *words, code=code)
+    except CellError as error:
+        return {"error": str(error)[:100]}
+    return _RESULTS[job](values) | {name: round(value, 1) for name, value in use.items()}
+
+
+def _planned(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "views": values["n_views"],
+        "bound": values["lower_bound"],
+        "visible %": round(100 * values["coverage"]["visible"], 2),
+        "motion s": round(values["motion"]["duration_s"], 2),
+    }
+
+
+def _scanned(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "views": values["n_views"],
+        "visible %": round(100 * values["coverage"]["visible"], 2),
+        "deviation um": round(1000 * values["deviation"]["rms_mm"], 1),
+    }
+
+
+def _with_setups(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "views": values["views"],
+        "bound": values["views_bound"],
+        "set-ups": len(values["selected" if "selected" in values else "chosen"]),
+        "visible %": round(100 * values["coverage"]["visible"], 2),
+    }
+
+
+def _explored(values: dict[str, Any]) -> dict[str, Any]:
+    return {"views": sum(batch["views"] for batch in values["batches" if "batches" in values else "stages"])}
+
+
+def _inspected(values: dict[str, Any]) -> dict[str, Any]:
+    return {"deviation um": round(1000 * values["deviation"]["rms_mm"], 1)}
+
+
+_RESULTS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "plan": _planned, "scan": _scanned, "table": _planned, "setups": _with_setups, "explore": _explored,
+    "inspect": _inspected,
+}  # fmt: skip
