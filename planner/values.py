@@ -121,9 +121,20 @@ def _declared(kind: type) -> tuple[_Declared, ...]:
         for part in (declared, *get_args(declared)):
             if get_origin(part) is Annotated:
                 array, shape = get_args(part)
-                dtype = np.dtype(get_args(get_args(array)[1])[0]) if get_origin(array) is np.ndarray else None
-                fields.append(_Declared(name, dtype, _axes(shape), part is not declared))
+                fields.append(_Declared(name, _element_type(array), _axes(shape), part is not declared))
     return tuple(fields)
+
+
+def _element_type(array: Any) -> np.dtype[Any] | None:
+    """Return the element type of NDArray[T]; None for another type.
+
+    NDArray[T] is np.ndarray[shape, np.dtype[T]], and from Python 3.12 and NumPy 2.5 on an alias with T alone.
+    """
+    if get_origin(array) is not get_origin(Floats):
+        return None
+    last = get_args(array)[-1]
+    element: np.dtype[Any] = np.dtype(*get_args(last) or (last,))
+    return element
 
 
 def _axes(shape: str) -> _Axes:
