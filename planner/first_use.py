@@ -8,7 +8,6 @@ import atexit
 import multiprocessing
 import os
 import subprocess
-import sys
 from contextlib import suppress
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.sparse import csr_array
 
 from planner import compiled, cover
 from planner.ports import JointLimits
+from planner.processes import python_command
 from planner.tour.orderings import order_views
 from planner.tour.visits import TourProblem
 
@@ -32,7 +32,7 @@ def share_compilation() -> None:
 def _start() -> None:
     """Start the second process, which ends with this one at the latest; without it kernels are compiled later."""
     quiet = subprocess.DEVNULL
-    command = [sys.executable, "-P", "-c", "from planner.first_use import compile_late_kernels as run; run()"]
+    command = python_command("from planner.first_use import compile_late_kernels as run; run()")
     with suppress(OSError, TypeError):  # TypeError: an embedded Python without sys.executable
         atexit.register(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet).kill)
 

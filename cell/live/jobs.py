@@ -14,6 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
+from planner.processes import python_command
+
 Report = Callable[[Mapping[str, Any]], None]
 """Receives `stage`, `done` and `total`, `note`, or the end: `folder` and `exit_code`, or `failed`."""
 
@@ -28,7 +30,7 @@ class Job:
 
     def __init__(self, task: Mapping[str, Any], report: Report) -> None:
         self.task, self._report, self._is_cancelled = task, report, False
-        words = [sys.executable, "-P", "-c", "from cell.live.jobs import serve; serve()"]
+        words = python_command("from cell.live.jobs import serve; serve()")
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8")
         self._thread = threading.Thread(target=self._read, daemon=True)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cell.session import PlotQueue
+from planner.processes import python_command
 
 _LENGTH = struct.Struct("<q")
 _RAY_TRACED = ("part_and_views", "cell_with_arm")  # take as long as all others together
@@ -80,9 +81,7 @@ class PlotProcess(PlotQueue):
 @contextmanager
 def plot_process() -> Iterator[PlotQueue]:
     """Start a process that draws; it ends with the block, except for plots that are begun."""
-    # Plug-ins may be on a path that only this process has, such as the folder of the script that called `plan`.
-    code = f"import sys; sys.path[:] = {sys.path!r}; from cell.report.plots import serve; serve()"
-    command = [sys.executable, "-P", "-c", code]
+    command = python_command("from cell.report.plots import serve; serve()")
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe) as process:
         try:

@@ -76,6 +76,7 @@ class RsiController:
         self._base, self._is_attached, self._is_answered = self.axes.copy(), False, True
         self._corrected = self._base
         self._ipoc, self._due, self._n_lost = 1000, clock.now(), 0
+        self._losses: tuple[int, Callable[[], bool]] | None = None
         self._later: list[tuple[float, Callable[[], None]]] = []
 
     def serve(self, until: Callable[[], bool]) -> None:
@@ -113,9 +114,9 @@ class RsiController:
         """Send no telegram for some time."""
         self._due += seconds
 
-    def lose_answers(self, count: int) -> None:
-        """Lose the next answers."""
-        self._n_lost = count
+    def lose_answers(self, count: int, when: Callable[[], bool] = lambda: True) -> None:
+        """Lose a number of answers, beginning with the next one at which a condition holds."""
+        self._losses = count, when
 
     def close(self) -> None:
         """Close the socket."""
@@ -147,6 +148,8 @@ class RsiController:
             return
         if ipoc != self._ipoc or self._is_answered or self.is_stopped:
             return  # late, or a copy
+        if self._losses and self._losses[1]():
+            self._n_lost, self._losses = self._losses[0], None
         if self._n_lost:
             self._n_lost -= 1
             return

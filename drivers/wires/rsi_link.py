@@ -142,8 +142,10 @@ class RsiLink:
         with Listener(("127.0.0.1", 0), authkey=key) as listener:
             listener._listener._socket.settimeout(_LOOK)  # type: ignore[attr-defined]  # accept() has no time-out
             where = f"127.0.0.1:{listener.address[1]}"
+            # The module path of this process: a folder of the user may have a package of the same name.
+            code = f"import sys; sys.path[:] = {sys.path!r}; from drivers.wires.rsi_stream import main; main()"
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "drivers.wires.rsi_stream", where],
+                [sys.executable, "-P", "-c", code, where],
                 stdin=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C reaches the client, which stops the arm
             )

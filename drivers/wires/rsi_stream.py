@@ -342,7 +342,3 @@ def main() -> None:
     with contextlib.suppress(OSError, AttributeError):  # without the right to it, or on another system
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
     Stream(udp, connection, limits, silence).run()
-
-
-if __name__ == "__main__":
-    main()

@@ -243,17 +243,14 @@ def test_rejected_answers_are_repeated(bench: Bench, count: int) -> None:
     with bench.driver() as driver:
 
         def is_at_full_speed() -> bool:  # not on a machine under load, which has lost answers of its own just before
-            return bool(np.degrees(np.diff(np.array(bench.controller.driven[-3:])[:, 0])).min() > 0.95 * full_deg)
-
-        def lose() -> None:
-            while bench.controller.axes[0] < 55.0 or not is_at_full_speed():
-                threading.Event().wait(0.002)
-            bench.controller.lose_answers(count)
+            driven_deg = np.reshape(bench.controller.driven[-3:], (-1, 6))[:, 0]
+            if len(driven_deg) < 3 or driven_deg[-1] < 55.0 or np.diff(driven_deg).min() <= 0.95 * full_deg:
+                return False
             seen.append(len(bench.controller.driven))
+            return True
 
-        thread = bench.when_moving(lose)
+        bench.controller.lose_answers(count, when=is_at_full_speed)
         assert driver.move(goal, 1.0).axes.tolist() == goal[0].tolist()
-        thread.join(5.0)
         assert driver._link.late_telegrams()[1] >= count  # type: ignore[attr-defined]
     assert bench.deviation_deg(goal) < 1e-5
     steps = np.abs(np.diff(np.array([np.degrees(HOME_Q), *bench.controller.driven])[:, 0]))
