@@ -103,7 +103,9 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
             wrong, samples = recounted(found)
             findings += [f"diff: {each}" for each in wrong]
             findings += [
-                f"{each} differs from itself" for each in (a, b) if not compare_runs(each, each, LoggedProgress()).empty
+                f"{each} differs from itself"
+                for each in (a, b)
+                if not compare_runs(each, each, LoggedProgress()).is_empty
             ]
         pairs = len(sides)
     shutil.rmtree(home / "last", ignore_errors=True)

@@ -31,6 +31,7 @@ from benchmarks.hard_move import OneMove, Trace, one_move
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.robot.plant import MujocoPlant, PlantSettings
+from cell.runs.cell import read_cell
 from cell.runs.run import Run, open_run
 from cell.scan import execution as scan_driver
 from cell.scan import plants
@@ -70,7 +71,9 @@ def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
             made.append(plant)
             return plant
 
-        driver, clock = scan_driver.make_driver(ScanOptions(driver=URL), motion, 1.0, {"mujoco": make})
+        driver, clock = scan_driver.make_driver(
+            ScanOptions(driver=URL), motion, read_cell(run_record), {"mujoco": make}
+        )
         with driver:
             began, spent = clock.now(), process_time()
             for leg in plan_execution(motion).segments:

@@ -26,6 +26,7 @@ from benchmarks.checks import independent_visible
 from benchmarks.parts import parts, place
 from cell.errors import CellError
 from cell.part.workpiece import load
+from cell.runs.cell import read_cell
 from cell.runs.run import open_run
 from cell.scan import execution as scan_driver
 from cell.scan.execution import plan_execution
@@ -89,11 +90,13 @@ def _farthest(execution: Path) -> float:
 
 
 def _controller(plan: Path) -> dict[str, Any]:
-    motion = open_run(plan).motion
+    run_record = open_run(plan)
+    motion = run_record.motion
+    cell = read_cell(run_record)
     legs = plan_execution(motion).segments
     best, simulated = np.inf, 0.0
     for _ in range(5):
-        driver, clock = scan_driver.make_driver(ScanOptions(), motion, 1.0)
+        driver, clock = scan_driver.make_driver(ScanOptions(), motion, cell)
         with driver:
             began, start = clock.now(), perf_counter()
             for leg in legs:

@@ -1,6 +1,6 @@
 """Everything that the wires share: staged moves, speeds as integers, timeouts, heartbeats, reopening of a lost line.
 
-A frame is short and a move may have 100,000 via points. A move is therefore *staged*: its via points go into a buffer
+A frame is short and a move may have 200,000 via points. A move is therefore *staged*: its via points go into a buffer
 of the controller, piece by piece, under the sequence number of the move. Staging moves nothing, and writing a piece
 twice has no further effect. The move command itself, the *commit*, carries the speed, the number of points, the CRC-32
 of all points, and the last of them (all points if they fit: then nothing is staged). The controller accepts the commit

@@ -7,7 +7,7 @@
   units with a relative tolerance of 1e-12: 0.55 of 100 equal areas must mean 55 of them, although the float 0.55 is
   slightly above 55/100. Coverage 1 ignores areas: it requires every coverable row.
 * Costs become integers: whole numbers are divided by their greatest common divisor; others are rounded to multiples of
-  2^-17 of the largest.
+  2^-40 of the largest.
 * Columns are sorted by content: larger covered area first, then a hash of rows and loads, then the lower cost, then the
   index. All later steps use the sorted columns, so that a permutation of the candidates changes only indices.
 
