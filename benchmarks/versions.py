@@ -18,14 +18,15 @@ from benchmarks.cell_process import run_cell
 from benchmarks.parts import parts, place
 from cell.errors import CellError
 
-_HERE = Path(cell.__file__).parents[1]
+CODE = Path(cell.__file__).parents[1]
+"""Checkout of this version."""
 
 
 def run() -> list[dict[str, Any]]:
     """Return one row for each part, job and version."""
     other, jobs = os.environ.get("SCAN_CELL_OTHER"), os.environ.get("SCAN_CELL_JOBS", "plan,scan,table").split(",")
     wanted = os.environ.get("SCAN_CELL_PARTS")
-    versions = ([("other", Path(other))] if other else []) + [("this", _HERE)]
+    versions = ([("other", Path(other))] if other else []) + [("this", CODE)]
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
