@@ -36,9 +36,9 @@ def cache_folder(kind: str) -> Path:
     Raises:
         RuntimeError: if no cache is named and the user has no home.
     """
-    named = os.environ.get("XDG_CACHE_HOME")
-    if named:
-        base = Path(named)
+    folder = os.environ.get("XDG_CACHE_HOME")
+    if folder:
+        base = Path(folder)
     elif sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif sys.platform == "darwin":

@@ -9,7 +9,7 @@ import typer
 
 from cell.cli.options import (
     AsJson,
-    Given,
+    OptionValues,
     Part,
     RunFolder,
     SceneFile,
@@ -120,8 +120,8 @@ def _scan_setups(
     from cell.runs.setups import SetupsRun
     from cell.scan.setups import combine_setups as report_of
 
-    for option, given in (("--resume", resume), ("--report", report)):
-        if given not in (None, "latest"):
+    for option, value in (("--resume", resume), ("--report", report)):
+        if value not in (None, "latest"):
             raise UsageError(f"{option} of several set-ups takes the latest execution of each: {option} latest")
     if report is not None:
         outcome = report_of(_session(terminal), SetupsRun.opened(folder))
@@ -130,10 +130,13 @@ def _scan_setups(
             folder, options, setup=setup, resume=resume is not None, progress=terminal, argv=sys.argv[1:],
             ask=_confirm(terminal),
         )  # fmt: skip
-    made = outcome.report
-    following = [("cell", "scan", folder, "--setup", made.missing_setups[0])] if made.missing_setups else []
+    result = outcome.report
+    following = [("cell", "scan", folder, "--setup", result.missing_setups[0])] if result.missing_setups else []
     terminal.print_result(
-        made.as_json(), f"Scan of {made.part}", [*combined_rows(made), ("folder", str(outcome.folder))], *following
+        result.as_json(),
+        f"Scan of {result.part}",
+        [*combined_rows(result), ("folder", str(outcome.folder))],
+        *following,
     )
     raise typer.Exit(outcome.exit_code)
 
@@ -161,8 +164,8 @@ def explore(
     part: Part = None,
     scene: SceneFile = None,
     options: ExploreOptions,
-    scanning: Annotated[Given, option_specs(ScanOptions, *SCAN_OPTIONS)],
-    given: SceneOptions,
+    scanning: Annotated[OptionValues, option_specs(ScanOptions, *SCAN_OPTIONS)],
+    scene_options: SceneOptions,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder to make, or to resume. Default: sim_runs/explore-<UTC>.", rich_help_panel="Output"),
@@ -177,17 +180,17 @@ def explore(
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_from_options(scene, given, part, flag)
+    checked = scene_from_options(scene, scene_options, part, flag)
     scans = parse_options(ScanOptions, scanning, flag)
-    done = api.explore(
+    exploration = api.explore(
         checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal)
     )
     following = []
-    if done.place_mm is not None:
-        place = ",".join(f"{value:g}" for value in done.place_mm)
-        following = [("cell", "plan", done.folder / done.file.model, "--units", "mm", "--place", place)]
-    rows = [*done.file.rows(), ("folder", str(done.folder))]
-    terminal.print_result(done.file.as_json(), f"Exploration of {done.file.part}", rows, *following)
+    if exploration.place_mm is not None:
+        place = ",".join(f"{value:g}" for value in exploration.place_mm)
+        following = [("cell", "plan", exploration.folder / exploration.file.model, "--units", "mm", "--place", place)]
+    rows = [*exploration.file.rows(), ("folder", str(exploration.folder))]
+    terminal.print_result(exploration.file.as_json(), f"Exploration of {exploration.file.part}", rows, *following)
 
 
 @command(
@@ -249,15 +252,15 @@ def locate(
         return
     if not keep_planned:
         found.require_determined()
-    made = api.edit(
+    new_run = api.edit(
         run, repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
     )
-    rows = [*table(made.report), ("digest", made.digest[:SHORT_DIGEST]), ("run folder", str(made.folder))]
+    rows = [*table(new_run.report), ("digest", new_run.digest[:SHORT_DIGEST]), ("run folder", str(new_run.folder))]
     terminal.print_result(
-        {**found.as_json(), "made": made.as_json()}, "The plan there", rows,
-        ("cell", "scan", made.folder), ("cell", "diff", run, made.folder),
+        {**found.as_json(), "made": new_run.as_json()}, "The plan there", rows,
+        ("cell", "scan", new_run.folder), ("cell", "diff", run, new_run.folder),
     )  # fmt: skip
-    raise typer.Exit(made.exit_code)
+    raise typer.Exit(new_run.exit_code)
 
 
 @calibrate_app.callback()

@@ -250,15 +250,15 @@ def _update_belief(
         )
         after = after.with_votes(scan.points, source, sensor, frustum.blank(scan.points, T), frustum.near, frustum.far)
         found |= request.sees[:, view] & frustum.answered(expected.points, scan.points[before.is_new(scan.points)], T)
-    taken = (*known.scans, *scans)
+    all_scans = (*known.scans, *scans)
     if request.on == MEASURED:  # gains on the measured surface do not change the record of the belief surface
-        return Belief(after, known.record, taken)
+        return Belief(after, known.record, all_scans)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_samples_at(expected.points, expected.normals)
         record = record.with_batch(of, expected.areas / record.weights(of) / request.surface, found.astype(np.float64))
     return Belief(
-        after.with_tries(expected.points[after.is_still_open(expected.points, expected.normals)]), record, taken
+        after.with_tries(expected.points[after.is_still_open(expected.points, expected.normals)]), record, all_scans
     )
 
 
@@ -284,8 +284,10 @@ def require_plausible(
             "start a new one with a larger --cylinder or another --place, and remove the points of the part's support"
         )
     moved = "the part was moved, or the poses are wrong; the exploration ends, start a new one"
-    if (gone := space.contradicted_share(points)) > _MAX_OUTSIDE:
-        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was measured as free; {moved}")
+    if (share := space.contradicted_share(points)) > _MAX_OUTSIDE:
+        raise FileError(
+            f"{100 * share:.1f} % of the points of {folder} lie in space that was measured as free; {moved}"
+        )
     passed = max(frustum.passed(space.points, points, T, _MARGIN * space.edge) for points, T in views)
     if passed > _MAX_PASSED:
         raise FileError(
@@ -315,7 +317,7 @@ def _batch_entry(
 ) -> ExploredBatch:
     """Return the explore.json entry of a batch."""
     run, mesh = open_finished(folder), known.surface
-    taken = [(scan.points, scan.T_reported) for scan in scans]
+    clouds = [(scan.points, scan.T_reported) for scan in scans]
     seen, new = known.space.measured_since(before, mesh.centres, mesh.normals)
     return ExploredBatch(
         folder=f"{folder.parent.name}/{folder.name}",
@@ -325,7 +327,7 @@ def _batch_entry(
         points=sum(len(scan.points) for scan in scans),
         seconds=round(run.motion.duration, 6),
         expected_gain_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
-        below_range_mm2=round(1e6 * area_below_min_range(expected.samples, expected.sees, taken, before, frustum), 3),
+        below_range_mm2=round(1e6 * area_below_min_range(expected.samples, expected.sees, clouds, before, frustum), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
         realised_gain_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
         uncovered_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),

@@ -116,8 +116,8 @@ class SensorFrustum:
         one, other = one[known], other[known]
         begin, end, squarely = points[point_of[one]], points[point_of[other]], self.rays[one] - self.rays[other]
         length, away = np.linalg.norm(end - begin, axis=1), np.linalg.norm(begin - self.source_at(T), axis=1)
-        kept = (length > gap) & (length <= _JOINED * away * np.linalg.norm(squarely, axis=1))
-        begin, end, parts = begin[kept], end[kept], np.ceil(length[kept] / gap).astype(np.int64)
+        is_gap = (length > gap) & (length <= _JOINED * away * np.linalg.norm(squarely, axis=1))
+        begin, end, parts = begin[is_gap], end[is_gap], np.ceil(length[is_gap] / gap).astype(np.int64)
         pair = np.repeat(np.arange(len(parts)), parts - 1)
         step = np.arange(len(pair)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
         return np.asarray(begin[pair] + (step / parts[pair])[:, None] * (end - begin)[pair])

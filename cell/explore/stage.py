@@ -202,18 +202,21 @@ def _sample_surface(session: PlanSession, settled: SettledScene, request: BatchR
             )
         files.write_meshes(session.folder, reference, planning)
         counts = (N_DRAWN, N_DRAWN) if request.poses is None else N_DRAWN_MEASURED
-        drawn = [
+        sample_sets = [
             draw_samples(reference, planning, count, session.rng(stream))
             for count, stream in zip(counts, (Stream.BELIEF_SAMPLES, Stream.BELIEF_SCOUTS), strict=True)
         ]
-        part, scanner = make_surface(reference, planning, drawn[0]), limited_scanner(settled.scene, settled.scanner)
+        part, scanner = (
+            make_surface(reference, planning, sample_sets[0]),
+            limited_scanner(settled.scene, settled.scanner),
+        )
         rows, scouts = (
-            select_samples(samples, request, kept, scanner, part.caster)
-            for samples, kept in zip(drawn, (MAX_ROWS, MAX_SCOUTS), strict=True)
+            select_samples(samples, request, limit, scanner, part.caster)
+            for samples, limit in zip(sample_sets, (MAX_ROWS, MAX_SCOUTS), strict=True)
         )
         if not len(rows) or not len(scouts):
             return None
-        request = replace(request, gain_ratio=realised_gain_ratio(drawn[0], request, scanner, part.caster))
+        request = replace(request, gain_ratio=realised_gain_ratio(sample_sets[0], request, scanner, part.caster))
         viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
         if (viewpoints.face >= 0).all():
             viewpoints = pick_viewpoints(viewpoints, np.isin(viewpoints.face, rows.planning_face))

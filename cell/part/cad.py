@@ -222,8 +222,8 @@ def _without_items(content: bytes, items: set[bytes]) -> bytes:
             return match[0]
         head, opened, listed = rest.partition(b"(")
         listed, closed, tail = listed.partition(b")")
-        shown = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in items]
-        return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(shown) + closed + tail + b");"
+        references = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in items]
+        return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(references) + closed + tail + b");"
 
     return _ENTITY.sub(remaining, content)
 
@@ -262,9 +262,9 @@ def _read_groups(source: str, groups: list[bytes], scale: float) -> StepModel:
     """Return the solids of all groups, triangulated with tolerances that are scaled."""
     bodies: list[_Body] = []
     for number, content in enumerate(groups):
-        made = _triangulate(source, content, scale=scale, may_be_empty=number > 0)
+        glb_content = _triangulate(source, content, scale=scale, may_be_empty=number > 0)
         try:
-            bodies += _bodies(made, sum(len(body.cad) for body in bodies)) if made else []
+            bodies += _bodies(glb_content, sum(len(body.cad) for body in bodies)) if glb_content else []
         except (glb.GlbError, KeyError, TypeError, ValueError) as error:
             raise _broken_file(source) from error
     try:
@@ -366,19 +366,19 @@ def _triangulate(
     if b"END-ISO-10303-21" not in content[-2000:]:
         raise FileError(f"{source} is cut short: it has no END-ISO-10303-21; export or copy it again")
     with tempfile.TemporaryDirectory() as folder:
-        given, made = Path(folder) / "part.step", Path(folder) / "part.glb"
-        given.write_bytes(content)
-        words = [str(given), str(made), str(DEVIATION_MM * scale), str(TURN_RAD * scale), str(int(by_face))]
-        done = subprocess.run(
+        step_file, glb_file = Path(folder) / "part.step", Path(folder) / "part.glb"
+        step_file.write_bytes(content)
+        words = [str(step_file), str(glb_file), str(DEVIATION_MM * scale), str(TURN_RAD * scale), str(int(by_face))]
+        process = subprocess.run(
             [sys.executable, str(Path(open_cascade.__file__)), *words],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             check=False,
         )
-        if done.returncode or not made.exists():
-            raise FileError(f"{source} makes Open CASCADE fail (exit code {done.returncode}); export it again")
-        found = made.read_bytes()
+        if process.returncode or not glb_file.exists():
+            raise FileError(f"{source} makes Open CASCADE fail (exit code {process.returncode}); export it again")
+        found = glb_file.read_bytes()
     if not found and not may_be_empty:
         raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
     return found
@@ -409,9 +409,9 @@ class _Body:
     solid: NDArray[np.bool_]
 
 
-def _bodies(made: bytes, count: int = 0) -> Iterator[_Body]:
+def _bodies(glb_content: bytes, count: int = 0) -> Iterator[_Body]:
     """Yield the surfaces with their CAD faces, numbered consecutively from `count` + 1."""
-    for primitive in glb.primitives(made):
+    for primitive in glb.primitives(glb_content):
         extension = primitive.extensions.get("TM_brep_faces")
         described = extension.get("faces", []) if isinstance(extension, Mapping) else [None]
         face_of = primitive.numbers(extension["faceIndices"]) if extension else np.zeros(len(primitive.faces), np.int64)
@@ -466,12 +466,12 @@ def _is_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
 def _join_solids(found: list[_Body]) -> StepModel:
     """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
     any_solid = any(body.solid.any() for body in found)
-    kept = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
-    omitted = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in kept)
-    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[own]) for body, own in kept)
+    selection = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
+    omitted = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in selection)
+    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[own]) for body, own in selection)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]
-    for body, own in kept:
+    for body, own in selection:
         index.append(body.face_of[own] + len(every))
         every += body.cad
     there, of_triangle = np.unique(np.concatenate(index), return_inverse=True)

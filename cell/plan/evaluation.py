@@ -378,7 +378,7 @@ def _regions(
         share, seen = _mean(coverable[rows]), _mean(times[rows] > 0)
         views = region.views or options.multiplicity
         requested = options.coverage if region.coverage is None else region.coverage
-        lost = rows[~coverable[rows]]
+        uncoverable_rows = rows[~coverable[rows]]
         found.append(
             schema.RegionResult(
                 name=region.name,
@@ -394,8 +394,8 @@ def _regions(
                 visible_of_coverable=seen / share if share > 0 else 0.0,
                 satisfied_share=_mean(times[rows] >= views),
                 cause=(
-                    _reason(region, lost, 1 - share, problem)
-                    if len(lost) and share < requested
+                    _reason(region, uncoverable_rows, 1 - share, problem)
+                    if len(uncoverable_rows) and share < requested
                     else ""
                     if len(rows)
                     else no_samples(area_mm2, len(samples))
@@ -417,11 +417,13 @@ def no_samples(area_mm2: float, n_samples: int) -> str:
     )
 
 
-def _reason(region: RegionTargets, lost: Ints, share: float, problem: SelectionProblem) -> str:
+def _reason(region: RegionTargets, uncoverable_rows: Ints, share: float, problem: SelectionProblem) -> str:
     """Return the most frequent cause for which no reachable candidate measures a share of a region."""
     known = problem.prediction
     samples, scanner = known.samples, known.scanner
-    some = lost[np.linspace(0, len(lost) - 1, min(_N_DIAGNOSED, len(lost))).round().astype(np.int64)]
+    some = uncoverable_rows[
+        np.linspace(0, len(uncoverable_rows) - 1, min(_N_DIAGNOSED, len(uncoverable_rows))).round().astype(np.int64)
+    ]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
     fails = REASON_OF_VERDICT[problem.reached.verdict]
     why = diagnose(targets, some, problem.candidates, scanner, known.casters, fails)

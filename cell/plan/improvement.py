@@ -149,8 +149,8 @@ def _swap_cover(
         )  # fmt: skip
         if requested >= 1:
             return swap, swap.groups
-        kept = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[swap.views]) >= least
-        if kept and _covered_area(index, swap.views) >= enough:
+        is_sufficient = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[swap.views]) >= least
+        if is_sufficient and _covered_area(index, swap.views) >= enough:
             return swap, single_views(swap.views)
     views = restored_views(problem, found.views, swap, least)
     if len(views) > len(swap.views) or _covered_area(index, views) < enough:
@@ -194,8 +194,8 @@ def restored_views(problem: SelectionProblem, original: Ints, swap: ViewExchange
     views, before = swap.views.copy(), original[swap.replaces]
     aim = known.visible(T[original]).covered
     while (share := known.share_of_coverable(T[views])) < least:
-        changed, lost = np.flatnonzero(views != before), aim & ~known.visible(T[views]).covered
-        open_area, seen = known.samples.areas[lost], known.seen(T[before[changed]], among=lost)
+        changed, is_lost = np.flatnonzero(views != before), aim & ~known.visible(T[views]).covered
+        open_area, seen = known.samples.areas[is_lost], known.seen(T[before[changed]], among=is_lost)
         gap = (least - share) * known.coverable.area
         while gap > 0.0 and (gains := open_area @ seen).any():
             best = int(gains.argmax())

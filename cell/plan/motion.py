@@ -124,7 +124,7 @@ class ConnectedPlan(Value):
 class NextAction(Enum):
     """Result of an attempt to connect selected views."""
 
-    DONE = "every selected view is connected"
+    FINISH = "every selected view is connected"
     CONNECT = "some views have fewer configurations now: connect them again"
     SELECT = "views were rejected, or measure less now: select again"
 
@@ -164,7 +164,7 @@ class ViewConnector(ABC):
 
     def check_motion(self, views: Ints, motion: Tour) -> NextAction:
         """Check a motion through all of (n,) candidates."""
-        return NextAction.DONE
+        return NextAction.FINISH
 
     def between_table_angles(
         self, groups: EquivalentViews, motion: Tour, shares: Sequence[float]
@@ -224,7 +224,7 @@ class ViewsAtRest(ViewConnector):
         """Check the arm at the stops of the motion."""
         match self._arm.update(views[motion.order], motion.q):
             case OcclusionUpdate.CLEAR:
-                return NextAction.DONE
+                return NextAction.FINISH
             case OcclusionUpdate.OTHER_CONFIGURATIONS:
                 return NextAction.CONNECT
             case _:
@@ -272,9 +272,9 @@ class ViewsAtRest(ViewConnector):
 
     def occludes_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
         """Return whether the arm hides nothing at (n,) candidates that it showed in the motion before."""
-        taken = dict(zip(before.order.tolist(), before.q, strict=True))
+        q_before = dict(zip(before.order.tolist(), before.q, strict=True))
         stops = zip(motion.order.tolist(), motion.q, strict=True)
-        return all(self._arm.occludes_no_more(int(views[k]), taken[k], q[None])[0] for k, q in stops)
+        return all(self._arm.occludes_no_more(int(views[k]), q_before[k], q[None])[0] for k, q in stops)
 
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the stops, and the samples that they measure with the arm as an occluder."""
@@ -330,8 +330,8 @@ class SweepingViews(ViewConnector):
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the sweeps of a motion with their poses and timing."""
         world, kinematics = self._problem.world, self._problem.cell.kinematics
-        taken = zip(motion.order.tolist(), motion.choice.tolist(), strict=True)
-        sweeps = tuple(self._sweeps(int(views[view])).paths[choice] for view, choice in taken)
+        choices = zip(motion.order.tolist(), motion.choice.tolist(), strict=True)
+        sweeps = tuple(self._sweeps(int(views[view])).paths[choice] for view, choice in choices)
         q = np.stack([path.measured_q for path in sweeps])
         T_base_scanner = kinematics.forward(q.reshape(-1, ARM_AXES)) @ world.T_flange_scanner
         poses = (np.linalg.inv(world.T_base_object) @ T_base_scanner).reshape(*q.shape[:2], 4, 4)
@@ -419,9 +419,9 @@ def _try_to_connect(
     The search begins with the candidates that the last attempt visited, in their order.
     """
     selected = selection.cover.views
-    action, lost = views.check(selected)
+    action, rejections = views.check(selected)
     if action is NextAction.SELECT:
-        return _Retry(action, lost)
+        return _Retry(action, rejections)
     groups = views.groups(selection, problem.usable(rejected), rng)
     motion = _plan_motion(problem, views, selection, groups, before, rng, progress)
     # Detours may cost more than the swaps save, and a motion without some views is shorter for that reason.
@@ -443,13 +443,13 @@ def _try_to_connect(
         )
     if motion.dropped:
         unconnected = {
-            view: lost.reason.sentence + (f" ({lost.blocker})" if lost.blocker else "")
-            for lost in motion.dropped
-            for view in groups.members[lost.view].tolist()
+            candidate: exclusion.reason.sentence + (f" ({exclusion.blocker})" if exclusion.blocker else "")
+            for exclusion in motion.dropped
+            for candidate in groups.members[exclusion.view].tolist()
         }
         return _Retry(NextAction.SELECT, unconnected, groups.visited_by(motion))
     action = views.check_motion(groups.picked_by(motion), motion)
-    if action is NextAction.DONE:
+    if action is NextAction.FINISH:
         return _Connected(groups, motion)
     return _Retry(action, visited=groups.visited_by(motion))
 

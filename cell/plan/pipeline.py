@@ -189,7 +189,7 @@ def open_run(
         with folder.keep_on_failure(), _logged(folder.path / "run.log"):
             files.write_scene(folder, session.origin.scene_path)
             path = session.origin.scene_path
-            folder.named(files.named_files(settled.scene, path), files.overridden_keys(scene, path))
+            folder.record_files(files.named_files(settled.scene, path), files.overridden_keys(scene, path))
             yield run
             if (folder.path / "plan.json").is_file():  # each of several set-ups has a folder and digest of its own
                 folder.seal()
@@ -402,19 +402,19 @@ def select_and_connect(
 @contextmanager
 def _search_stage(session: PlanSession, n_views: int) -> Iterator[SearchProgress]:
     """Record the pose search as a stage, and report the number of views found so far."""
-    with session.folder.stage("search fewer views"), ExitStack() as shown:
+    with session.folder.stage("search fewer views"), ExitStack() as stack:
 
         def show(n_views: int) -> Progress:
-            shown.close()
-            return shown.enter_context(session.reporter.stage(f"search fewer than {n_views} views"))
+            stack.close()
+            return stack.enter_context(session.reporter.stage(f"search fewer than {n_views} views"))
 
         fewest, report = n_views, show(n_views)
 
-        def update(done: int, total: int, n_views: int) -> None:
+        def update(n_done: int, total: int, n_views: int) -> None:
             nonlocal fewest, report
             if n_views < fewest:
                 fewest, report = n_views, show(n_views)
-            report(done, total)
+            report(n_done, total)
 
         yield update
 

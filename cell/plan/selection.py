@@ -564,8 +564,8 @@ def _with_rows_for_all(
     known, T = problem.prediction, problem.candidates.T_object_scanner
     for left in reversed(range(ROUNDS + 1)):
         selection = select_views(problem, rng, search=Search.PROBE)
-        chosen = T[selection.cover.views]
-        if not left or known.share_of_coverable(chosen) >= ALL:
+        poses = T[selection.cover.views]
+        if not left or known.share_of_coverable(poses) >= ALL:
             break
         pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
         added = _needed_rows(problem, selection, pool)

@@ -282,10 +282,10 @@ class _ContactEvaluator(ViewEvaluator):
     contact: Bools
 
     def measured(
-        self, views: Floats, targets: RayTargets, rows: Ints, worth: tuple[Floats, float] | None = None
+        self, views: Floats, targets: RayTargets, rows: Ints, threshold: tuple[Floats, float] | None = None
     ) -> Bools:
         """Return (m, n) whether each viewpoint (n, 4, 4) [m] measures each row; see `ViewEvaluator.measured`."""
-        return ViewEvaluator.measured(self, views, targets, rows, worth) & ~self.contact[rows, None]
+        return ViewEvaluator.measured(self, views, targets, rows, threshold) & ~self.contact[rows, None]
 
 
 def make_setup(
@@ -389,21 +389,21 @@ def try_candidates(
         rows = surface_samples(settled.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         surface = make_surface(reference, planning, rows)
         scouts = draw_samples(reference, planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
-        given = given_candidates(settled.scene)
+        scene_candidates = given_candidates(settled.scene)
         # If none is proposed, the placement of the scene is no set-up candidate.
         scenes = [settled.scene]
         if not limit:
-            scenes = [settled.scene.model_copy(update={"placement": each.placement}) for each in given]
+            scenes = [settled.scene.model_copy(update={"placement": each.placement}) for each in scene_candidates]
         settled, world = first_possible_cell([replace(settled, scene=scene) for scene in scenes], reference)
         settled = replace(settled, scene=with_fixed_table(settled.scene, world))
         fixed = [] if first is None else [_fixed_candidate(first)]
-        candidates = _distinct([*fixed, *given, *proposed_candidates(world, reference, limit)])
+        candidates = _distinct([*fixed, *scene_candidates, *proposed_candidates(world, reference, limit)])
         has_one_pose = len({candidate.name.split(",")[0] for candidate in candidates}) == 1 < limit
         if settled.scene.setup == () and has_one_pose:
             turned = ", turned," if len(candidates) > 1 else ""
             session.note(f"the part has no other stable pose: the only candidate is the part as it is placed{turned}")
-    tried = [make_setup(session, settled, surface, world, each, viewpoints, scouts) for each in candidates]
-    return surface, candidates, tried
+    outcomes = [make_setup(session, settled, surface, world, each, viewpoints, scouts) for each in candidates]
+    return surface, candidates, outcomes
 
 
 def _is_same_mesh(one: TriangleMesh, other: TriangleMesh) -> bool:
@@ -430,13 +430,13 @@ def first_possible_cell(settled: Sequence[SettledScene], reference: TriangleMesh
 
 def _distinct(candidates: list[SetupCandidate]) -> list[SetupCandidate]:
     """Remove proposed candidates with the pose of an earlier one among the same fixtures."""
-    kept: list[SetupCandidate] = []
+    distinct: list[SetupCandidate] = []
     for candidate in candidates:
         is_known = (
             np.abs(candidate.placement.T - other.placement.T).max() < _SAME
             and not (other.table and other.table.fixtures)
-            for other in kept
+            for other in distinct
         )
         if candidate.table is not None or not any(is_known):
-            kept.append(candidate)
-    return kept
+            distinct.append(candidate)
+    return distinct

@@ -104,7 +104,7 @@ class SetupsRequest:
             seconds |= {row: np.full(n, selection.MIN_COST)} if plan.cost == "time" else {}
             if not pose_error(plan).is_exact:
                 rng = session.rng(Stream.POSE_ERRORS)
-                layers[row] = pose_probabilities(plan, setup.measured, rng, lambda done, total: None)
+                layers[row] = pose_probabilities(plan, setup.measured, rng, lambda n_done, total: None)
         return replace(self, seconds=seconds, layers=layers, fixed_views=tuple(fixed_views))
 
     @property

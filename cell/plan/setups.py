@@ -85,11 +85,11 @@ def scene_after(first: Run, options: Mapping[str, object], spell: Spell = str) -
     for key in names:
         if not key.startswith(("plan.", "placement.")):
             raise UsageError(f"{names[key]} changes the cell of {first.folder}; give part and options, or a scene file")
-    scene, given = scene_of_run(first), load_scene(None, tables, names)
-    plan = {"pinned": (), "banned": ()} | {key: getattr(given.plan, key) for key in tables.get("plan", {})}
+    scene, overrides = scene_of_run(first), load_scene(None, tables, names)
+    plan = {"pinned": (), "banned": ()} | {key: getattr(overrides.plan, key) for key in tables.get("plan", {})}
     if "coverage" in plan:
         plan["max_views"] = None
-    placement = given.placement if "placement" in tables else scene.placement
+    placement = overrides.placement if "placement" in tables else scene.placement
     scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=plan), "placement": placement})
     return scene if first.scene.table is None else with_table_at(scene, first.scene.table.T_base_table)
 
@@ -98,14 +98,14 @@ def _plan_setups(
     outer: Session[None], session: PlanSession, settled: SettledScene, options: SetupOptions, first: Run | None
 ) -> Verdict:
     """Plan all set-ups into the open folder."""
-    surface, candidates, tried = try_candidates(session, settled, options.proposals, first)
-    setups = {row: found for row, found in enumerate(tried) if isinstance(found, Setup)}
+    surface, candidates, outcomes = try_candidates(session, settled, options.proposals, first)
+    setups = {row: found for row, found in enumerate(outcomes) if isinstance(found, Setup)}
     if not any(len(setup.measured.M.indices) for setup in setups.values()):
-        reason = next((found for found in tried if isinstance(found, str)), "no candidate measures anything")
+        reason = next((found for found in outcomes if isinstance(found, str)), "no candidate measures anything")
         raise UnreachableError(
             f"none of the {len(candidates)} set-up candidates can be planned ({reason}); move the part"
         )
-    _require_candidates(options, tried)
+    _require_candidates(options, outcomes)
     with session.stage("select and connect"):
         request = SetupsRequest.of(session, settled.scene, options)
         search = SetupSearch(session, surface, setups, request)
@@ -116,12 +116,14 @@ def _plan_setups(
     seen = np.logical_or.reduce(list(visible.values()))
     for row, each in enumerate(candidates):
         if each.table is not None and row not in connected:
-            session.note(f"the set-up '{each.name}' is omitted: {cause_of_omission(setups.get(row, tried[row]), seen)}")
+            session.note(
+                f"the set-up '{each.name}' is omitted: {cause_of_omission(setups.get(row, outcomes[row]), seen)}"
+            )
     order = sorted(visible, key=lambda row: (candidates[row].run is None, -int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
         _write_setup(outer, session, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
     used = [(row, visible[row]) for row in order]
-    file = _setups_file(session, settled, request, setups, found, candidates, tried, used)
+    file = _setups_file(session, settled, request, setups, found, candidates, outcomes, used)
     views_first = None if alternative is None else ViewsFirst(setups=alternative[0], views=alternative[1])
     file = file.model_copy(update={"alternative": views_first})
     if settled.scene.plan.curve:
@@ -174,12 +176,12 @@ def _regions_without_samples(settled: SettledScene, reference: TriangleMesh, sam
     return found
 
 
-def _require_candidates(options: SetupOptions, tried: Sequence[Setup | str]) -> None:
+def _require_candidates(options: SetupOptions, outcomes: Sequence[Setup | str]) -> None:
     """Refuse pinned and banned candidates that do not exist, and pinned ones that are not reachable."""
     for setup, number in (*options.pins, *options.bans):
-        name, found = format_candidate((setup, number)), tried[setup] if setup < len(tried) else ""
-        if setup >= len(tried):
-            raise UsageError(f"candidate {name}: there are {len(tried)} set-up candidates, 0 to {len(tried) - 1}")
+        name, found = format_candidate((setup, number)), outcomes[setup] if setup < len(outcomes) else ""
+        if setup >= len(outcomes):
+            raise UsageError(f"candidate {name}: there are {len(outcomes)} set-up candidates, 0 to {len(outcomes) - 1}")
         if not isinstance(found, Setup):
             raise UsageError(f"candidate {name}: set-up {setup} is not possible ({found}); name another")
         if number >= len(reachable := found.measured.reached.reachable):
@@ -226,15 +228,15 @@ def _write_setup(
 
 def _setups_file(
     session: PlanSession, settled: SettledScene, request: SetupsRequest, setups: Mapping[int, Setup],
-    found: GroupedCover, candidates: Sequence[SetupCandidate], tried: Sequence[Setup | str],
+    found: GroupedCover, candidates: Sequence[SetupCandidate], outcomes: Sequence[Setup | str],
     used: Sequence[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
-    chosen, seen = [], np.zeros_like(used[0][1])
+    selected_setups, seen = [], np.zeros_like(used[0][1])
     for number, (row, visible) in enumerate(used, start=1):
         run = Run.open_finished(session.folder.path / "setups" / str(number))
         marginal = float((visible & ~seen).mean())
         seen = seen | visible
-        chosen.append(
+        selected_setups.append(
             SelectedSetup(
                 folder=f"setups/{number}",
                 digest=run.digest,
@@ -258,14 +260,14 @@ def _setups_file(
         ),
         status=status(found, len(candidates), request.request.targets),
         setups_bound=found.group_bound,
-        views=sum(each.views for each in chosen),
+        views=sum(each.views for each in selected_setups),
         views_bound=found.view_bound,
         seconds=None if found.cost_and_bound is None else found.cost_and_bound[0],
         seconds_bound=None if found.cost_and_bound is None else found.cost_and_bound[1],
         satisfied_share=None if request.needs_one_view else found.share,
         regions=tuple(_regions(settled.scene, samples, seen, coverable)),
-        selected=tuple(chosen),
-        candidates=tuple(_candidate_setup(*each) for each in zip(candidates, tried, strict=True)),
+        selected=tuple(selected_setups),
+        candidates=tuple(_candidate_setup(*each) for each in zip(candidates, outcomes, strict=True)),
         common_surface=shared_surfaces({number: visible for number, (_, visible) in enumerate(used, start=1)}, samples),
         uncovered=uncovered_surface(session, setups, [row for row, _ in used], seen),
     )
@@ -273,13 +275,13 @@ def _setups_file(
 
 def _regions(scene: Scene, samples: SurfaceSamples, seen: Bools, coverable: Bools) -> Iterator[SetupsRegion]:
     """Yield the coverage of each region that counts."""
-    for number, wishes in enumerate(with_rest(scene.region)):
+    for number, region in enumerate(with_rest(scene.region)):
         own = samples.region == number
-        if wishes.is_measured and np.any(own):
+        if region.is_measured and np.any(own):
             visible, share = float(seen[own].mean()), float(coverable[own].mean())
             yield SetupsRegion(
-                name=wishes.name,
-                target=scene.plan.coverage if wishes.coverage is None else wishes.coverage,
+                name=region.name,
+                target=scene.plan.coverage if region.coverage is None else region.coverage,
                 visible=visible,
                 coverable=share,
                 visible_of_coverable=visible / share if share else 1.0,

@@ -98,9 +98,9 @@ def table(report: Report) -> Rows:
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]
     if report.exclusions:
-        named = "; ".join(f"candidate {view.id}: {view.cause}" for view in report.exclusions[:_N_DROPPED])
+        causes = "; ".join(f"candidate {view.id}: {view.cause}" for view in report.exclusions[:_N_DROPPED])
         more = len(report.exclusions) - _N_DROPPED
-        rows.append(("dropped", named + (f"; and {more} more, see report.md" if more > 0 else "")))
+        rows.append(("dropped", causes + (f"; and {more} more, see report.md" if more > 0 else "")))
     took = (
         f"{motion.duration_s:.1f} s from home to home through {motion.via_points} points"
         + (f", {motion.duration_s / bound:.3f} x the time-optimal bound without jerk limit" if bound else "")

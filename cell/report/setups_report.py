@@ -110,7 +110,7 @@ def page(file: SetupsFile) -> str:
     lines += ["|---|---|---|---|---|---|---|---|"]
     for row, each in enumerate(file.candidates):
         use = next(
-            (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.selected if chosen.candidate == row), ""
+            (f"[{setup.folder}]({setup.folder}/report.md)" for setup in file.selected if setup.candidate == row), ""
         )
         lines.append(
             f"| {row} | {each.name} | {comma_list(each.placement_mm)} | {comma_list(each.placement_abc_deg)} "

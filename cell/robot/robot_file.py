@@ -545,16 +545,16 @@ def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
     plain = name.removeprefix("file://")
     if name.startswith("package://"):
         package, _, inside = name.removeprefix("package://").partition("/")
-        tried = [packages[package] / inside] if package in packages else []
+        paths = [packages[package] / inside] if package in packages else []
         # The description lies beside its package's folder, or in it.
-        tried += [folder / inside for folder in path.resolve().parents if folder.name == package]
-        tried += [folder / package / inside for folder in path.resolve().parents]
+        paths += [folder / inside for folder in path.resolve().parents if folder.name == package]
+        paths += [folder / package / inside for folder in path.resolve().parents]
         hint = f"; name the folder of the package: --package {package}=DIR"
     else:
-        tried = [path.resolve().parent / plain]
-        folder = tried[0].parent
+        paths = [path.resolve().parent / plain]
+        folder = paths[0].parent
         others = (
-            [each.name for each in folder.iterdir() if each.name.lower() == tried[0].name.lower()]
+            [each.name for each in folder.iterdir() if each.name.lower() == paths[0].name.lower()]
             if folder.is_dir()
             else []
         )
@@ -564,7 +564,7 @@ def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
             else "; copy the file there, or correct the name"
         )
         hint = "; write / between folders" if "\\" in name else hint
-    for file in tried:
+    for file in paths:
         if file.is_file():
             return file
-    raise FileError(f"{path} names the mesh {name}, but {tried[0]} does not exist{hint}")
+    raise FileError(f"{path} names the mesh {name}, but {paths[0]} does not exist{hint}")

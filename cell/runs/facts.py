@@ -63,9 +63,9 @@ def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
     if world.table is None:
         return None
     fixed = {"post_mm"} if scene.table.position_mm is not None else set[str]()
-    said = scene.table.model_dump(include=set(ResolvedTable.model_fields) - fixed)
+    values = scene.table.model_dump(include=set(ResolvedTable.model_fields) - fixed)
     low, high = np.degrees([world.table.lower, world.table.upper]).round(9).tolist()
-    return ResolvedTable(T_base_table=world.table.T_base_table, free_range_deg=(low, high), **said)
+    return ResolvedTable(T_base_table=world.table.T_base_table, free_range_deg=(low, high), **values)
 
 
 class TableValues(TypedDict, total=False):

@@ -150,15 +150,15 @@ def _package() -> tuple[Any, _Errors]:
     return Harvester(), (genapi.GenericException, gentl.GenericException)
 
 
-def _producers(given: str | None) -> list[Path]:
+def _producers(producer: str | None) -> list[Path]:
     """Return the files of the given GenTL producer, or of all that are installed."""
-    if given is not None:
-        paths = [Path(given).expanduser()]
+    if producer is not None:
+        paths = [Path(producer).expanduser()]
     else:
         folders = [Path(each) for each in os.environ.get(PRODUCERS, "").split(os.pathsep) if each]
         paths = sorted(path for folder in folders for path in folder.glob("*.cti"))
     if not paths or not all(path.is_file() for path in paths):
-        where = f"{given} is no file" if given is not None else f"{PRODUCERS} names no folder with a .cti file"
+        where = f"{producer} is no file" if producer is not None else f"{PRODUCERS} names no folder with a .cti file"
         raise UsageError(
             f"{where}; install the GenTL producer of the scanner's maker, or give it: --acquire "
             "'genicam:DEVICE?producer=/opt/maker/producer.cti'"
@@ -166,7 +166,7 @@ def _producers(given: str | None) -> list[Path]:
     return paths
 
 
-def _select(devices: Sequence[Any], wanted: str, errors: _Errors) -> tuple[Any, str]:
+def _select(devices: Sequence[Any], identity: str, errors: _Errors) -> tuple[Any, str]:
     """Return the only device, or the only one with an identity, and its name for messages."""
 
     def identities(device: Any) -> dict[str, str]:
@@ -178,13 +178,13 @@ def _select(devices: Sequence[Any], wanted: str, errors: _Errors) -> tuple[Any, 
 
     known = [identities(device) for device in devices]
     names = [" ".join(each.get(key, "") for key in ("vendor", "model", "serial_number")).strip() for each in known]
-    chosen = [k for k, each in enumerate(known) if not wanted or wanted in [each.get(key) for key in _IDENTITIES]]
-    if len(chosen) == 1:
-        return devices[chosen[0]], names[chosen[0]]
+    matches = [k for k, each in enumerate(known) if not identity or identity in [each.get(key) for key in _IDENTITIES]]
+    if len(matches) == 1:
+        return devices[matches[0]], names[matches[0]]
     listed = "; ".join(f"{each.get('id_', '?')} ({name})" for each, name in zip(known, names, strict=True)) or "none"
-    count = "several GenICam devices match" if chosen else "no GenICam device matches"
+    count = "several GenICam devices match" if matches else "no GenICam device matches"
     keys = "id, serial number, user-defined name or model"
-    raise UsageError(f"{count} --acquire genicam:{wanted}; give the {keys} of one; found: {listed}")
+    raise UsageError(f"{count} --acquire genicam:{identity}; give the {keys} of one; found: {listed}")
 
 
 def _set(nodes: Any, features: Sequence[tuple[str, str]], errors: _Errors) -> None:

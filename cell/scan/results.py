@@ -125,17 +125,17 @@ def make_report(session: Session[None], folder: Path, execution: str) -> ScanOut
     cell = read_cell(run, options_of(recorded).resolution_deg)
     # Status and exit code describe the end of the execution, not of its report.
     ended, exit_code = ("incomplete" if status == "running" else status), opened.manifest.exit_code
-    made = report_execution(session.opened(opened, run.seed), run, cell, recorded)
-    for sentence in made.unusable_files:
+    report = report_execution(session.opened(opened, run.seed), run, cell, recorded)
+    for sentence in report.unusable_files:
         session.note(sentence)
-    if made.missing_views:
+    if report.missing_views:
         session.note(
-            f"the execution is incomplete: {made.n_views} of {made.n_views + len(made.missing_views)} views are "
+            f"the execution is incomplete: {report.n_views} of {report.n_views + len(report.missing_views)} views are "
             "scanned; the report covers these; cell scan --resume scans the others"
         )
-        return ScanOutcome(opened.finish(exit_code, ended), FileError.exit_code, made)
-    code = exit_code_of(made, cell)
-    return ScanOutcome(opened.finish(code if status == "finished" else exit_code, ended), code, made)
+        return ScanOutcome(opened.finish(exit_code, ended), FileError.exit_code, report)
+    code = exit_code_of(report, cell)
+    return ScanOutcome(opened.finish(code if status == "finished" else exit_code, ended), code, report)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,12 +175,12 @@ def report_execution(
         executed_s = folder.manifest.motion_s if is_timed else None
         motion = ExecutedMotion(planned_s=plan.planned_seconds, executed_s=executed_s)
         settings = _settings(cell, recorded.manifest.options, seed)
-        made = _execution_report(run, cell, settings, results, plan.stops, motion)
-        folder.write_json("report.json", made.as_json())
+        report = _execution_report(run, cell, settings, results, plan.stops, motion)
+        folder.write_json("report.json", report.as_json())
         section = _inspect(session, run, recorded)
-        folder.write_text("report.md", "\n".join([scan_report.markdown(made), *section]))
-        _draw(run, folder, cell, recorded, made, results)
-    return made
+        folder.write_text("report.md", "\n".join([scan_report.markdown(report), *section]))
+        _draw(run, folder, cell, recorded, report, results)
+    return report
 
 
 def _measure(
@@ -234,13 +234,13 @@ def _inspect(session: Session[ExecutionFolder], run: Run, recorded: RecordedExec
     plan, folder = read_plan(run), session.folder
     if plan is None or not recorded.scans:
         return []
-    done = inspect_execution(plan, run.reference, run, recorded)
+    inspection = inspect_execution(plan, run.reference, run, recorded)
     source = run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None
-    done.write(lambda name, content: folder.write_bytes(name, [content]), source)
-    for each in done.result.characteristics:
+    inspection.write(lambda name, content: folder.write_bytes(name, [content]), source)
+    for each in inspection.result.characteristics:
         if each.verdict == "fail":
             session.note(f"{each.name} fails: {each.value:.4f} {each.unit}, U {each.expanded_uncertainty:.4f}")
-    return done.section()
+    return inspection.section()
 
 
 def options_of(recorded: RecordedExecution) -> ScanOptions:
@@ -273,8 +273,8 @@ def _draw(
     canvas = canvas_of(cell.reference, achieved.surface.samples)
     names = {scan_name(scan.stop) for scan in scans}
     used = replace(recorded, scans=tuple(scan for scan in recorded.scans if scan.name in names))
-    done = Execution(folder.path, Manifest(), report)  # its manifest is not written yet
-    folder.write_text(run_pages.PAGE_FILE, run_pages.execution_page(run, used, done, (canvas, achieved.surface)))
+    execution = Execution(folder.path, Manifest(), report)  # its manifest is not written yet
+    folder.write_text(run_pages.PAGE_FILE, run_pages.execution_page(run, used, execution, (canvas, achieved.surface)))
     if not scans:
         folder.remove("views.png")
         folder.remove("cover.png")
@@ -461,8 +461,8 @@ def _rms_distance(nearest: ClosestPointQuery, clouds: Sequence[ScanCloud]) -> fl
     points = np.concatenate([np.empty((0, 3)), *(cloud.points for cloud in clouds)])
     if not len(points):
         return float("nan")
-    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _CLOUD_SAMPLES)).astype(np.int64)]
-    return float(np.sqrt(np.mean(nearest.closest(chosen).distance ** 2)))
+    samples = points[np.linspace(0, len(points) - 1, min(len(points), _CLOUD_SAMPLES)).astype(np.int64)]
+    return float(np.sqrt(np.mean(nearest.closest(samples).distance ** 2)))
 
 
 def executed_poses(scans: Sequence[ExecutedScan], merged: MergedScans) -> list[Floats]:

@@ -20,7 +20,7 @@ from planner.path import path
 from planner.ports import CollisionChecker, JointLimits
 from planner.values import Floats
 
-_NAMED = 10  # views named in a note
+_N_LISTED = 10  # views named in a note
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +35,11 @@ class RemainingMotion:
     plan: ExecutionPlan
     approach_path: Floats | None
 
-    def notes(self, done: int, checker: MujocoCollisionChecker) -> list[str]:
-        """Return notes about the views and the approach path; `done` views are confirmed."""
+    def notes(self, n_scanned: int, checker: MujocoCollisionChecker) -> list[str]:
+        """Return notes about the views and the approach path; `n_scanned` views are confirmed."""
         stops = self.plan.stops
-        listed = ", ".join(str(stop) for stop in stops[:_NAMED]) + (", ..." if len(stops) > _NAMED else "")
-        notes = [f"{done} views are scanned already; {len(stops)} remain" + (f" ({listed})" if listed else "")]
+        listed = ", ".join(str(stop) for stop in stops[:_N_LISTED]) + (", ..." if len(stops) > _N_LISTED else "")
+        notes = [f"{n_scanned} views are scanned already; {len(stops)} remain" + (f" ({listed})" if listed else "")]
         if self.approach_path is not None:
             goal = f"view {stops[0]}" if stops else "home"
             moves = len(self.approach_path) - 1
@@ -53,7 +53,7 @@ class RemainingMotion:
 
 def plan_resume(
     plan: ExecutionPlan,
-    done: Collection[int],
+    scanned_stops: Collection[int],
     state: RobotState,
     checker: CollisionChecker,
     limits: JointLimits,
@@ -63,7 +63,7 @@ def plan_resume(
 
     Args:
         plan: the segments of the execution.
-        done: numbers of the confirmed views.
+        scanned_stops: numbers of the confirmed views.
         state: of the controller; the arm is at rest.
         checker: of the cell that the plan was checked in.
         limits: of the plan.
@@ -75,12 +75,13 @@ def plan_resume(
     segments = plan.segments
     # A sweep has several segments and is repeated from the first.
     first = next(
-        (index for index, segment in enumerate(segments) if segment.stop and segment.stop not in done),
+        (index for index, segment in enumerate(segments) if segment.stop and segment.stop not in scanned_stops),
         next((index for index, segment in enumerate(segments) if not segment.stop), len(segments)),
     )
     # Later confirmed views (the scan of an earlier one is damaged) are passed without a scan.
     rest = tuple(
-        replace(segment, stop=0, view=-1, pose=0) if segment.stop in done else segment for segment in segments[first:]
+        replace(segment, stop=0, view=-1, pose=0) if segment.stop in scanned_stops else segment
+        for segment in segments[first:]
     )
     if not rest:
         return RemainingMotion(ExecutionPlan(state.q, (), 0.0), None)

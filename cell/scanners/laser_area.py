@@ -96,8 +96,8 @@ class LaserArea:
         for names, is_valid, rule in _LIMITS:
             for name in names:
                 if (value := getattr(self, name)) is not None and not is_valid(value):
-                    shown = list(value) if isinstance(value, tuple) else f"{value:g}"
-                    raise SceneError(f"scanner.{name} is {shown}; {rule}")
+                    text = list(value) if isinstance(value, tuple) else f"{value:g}"
+                    raise SceneError(f"scanner.{name} is {text}; {rule}")
         both = list(zip(self.fov_deg, self.resolution_deg, strict=True))
         n_h, n_v = (round(fov / step) for fov, step in both)
         if any(step > fov for fov, step in both):

@@ -132,8 +132,10 @@ class Mount(Posed):
 
         replaced = {"matrix_mm": ("position_mm", "abc_deg", "quaternion"), "quaternion": ("abc_deg",)}
         for key, others in replaced.items():
-            if getattr(self, key) is not None and (given := [each for each in others if each in self.model_fields_set]):
-                raise ValueError(f".{key} is given together with {given[0]}; give the pose in one form")
+            if getattr(self, key) is not None and (
+                conflicts := [each for each in others if each in self.model_fields_set]
+            ):
+                raise ValueError(f".{key} is given together with {conflicts[0]}; give the pose in one form")
         if self.quaternion is not None and abs(float(np.linalg.norm(self.quaternion)) - 1) > _ROTATION_TOLERANCE:
             raise ValueError(
                 f".quaternion has the length {np.linalg.norm(self.quaternion):.4g}; it must be 1 (w, x, y, z)"
@@ -159,8 +161,8 @@ class Mount(Posed):
 
         T = np.eye(4)
         if self.matrix_mm is not None:
-            given = np.array(self.matrix_mm, dtype=np.float64)
-            T[:3, :3], T[:3, 3] = Rotation.from_matrix(given[:3, :3]).as_matrix(), given[:3, 3] / 1000
+            matrix = np.array(self.matrix_mm, dtype=np.float64)
+            T[:3, :3], T[:3, 3] = Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / 1000
         elif self.quaternion is not None:
             rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
             T[:3, :3], T[:3, 3] = rotation.as_matrix(), np.array(self.position_mm) / 1000
@@ -553,15 +555,15 @@ def _plan_contradiction(plan: PlanSettings) -> str:
         "pose_sd_mm" if plan.pose_sd_mm > 0 else "pose_sd_deg": has_errors,
         "cost": plan.cost == "time",
     }
-    given = [key for key, is_given in requests.items() if is_given]
-    if len(given) > 1 and given != ["multiplicity", "cost"]:
-        return f"{given[0]} and plan.{given[1]} cannot be combined; give one of them"
+    keys = [key for key, is_given in requests.items() if is_given]
+    if len(keys) > 1 and keys != ["multiplicity", "cost"]:
+        return f"{keys[0]} and plan.{keys[1]} cannot be combined; give one of them"
     if plan.max_views is not None and plan.coverage < 1 and "coverage" in plan.model_fields_set:
         return "max_views and plan.coverage both limit the plan; give one of them"
     if plan.max_views is not None and len(plan.pinned) > plan.max_views:
         return f"max_views is {plan.max_views} and {len(plan.pinned)} views are pinned; allow more or pin fewer"
-    if given and given[0] not in ("multiplicity", "cost") and plan.solver != "auto":
-        return f"solver is '{plan.solver}', and plan.{given[0]} has its own search; use the solver 'auto'"
+    if keys and keys[0] not in ("multiplicity", "cost") and plan.solver != "auto":
+        return f"solver is '{plan.solver}', and plan.{keys[0]} has its own search; use the solver 'auto'"
     if plan.overlap_in_order and not has_overlap:
         return "overlap_in_order needs an overlap; give plan.overlap_mm2 or plan.overlap_share"
     if has_errors and plan.fill == "rays":
@@ -800,7 +802,7 @@ def _reraisable(detail: ErrorDetails) -> InitErrorDetails:
     return error
 
 
-_SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
+_CELL_OBJECTS = ("robot", "scanner", "post", "pedestal", "floor")
 
 _REPORT = "Output"
 
@@ -958,7 +960,7 @@ class Picture(Table):
             "Objects that this picture leaves out: fixtures, robot, scanner, post, pedestal or floor.",
             _REPORT,
             metavar="NAME[,NAME...]",
-            made=lambda texts: [each for text in texts for each in text.split(",")],
+            convert=lambda texts: [each for text in texts for each in text.split(",")],
         ),
     ] = ()
 
@@ -1040,7 +1042,7 @@ class Scene(Table):
     @field_validator("picture")
     @classmethod
     def _hides_known_objects(cls, picture: Picture, info: ValidationInfo) -> Picture:
-        known = [*_SHOWN, *(fixture.name for fixture in info.data.get("fixtures", ()))]
+        known = [*_CELL_OBJECTS, *(fixture.name for fixture in info.data.get("fixtures", ()))]
         for name in picture.hide:
             if name not in known:
                 raise ValueError(f".hide names '{name}', which this cell does not have; it has: {', '.join(known)}")

@@ -44,7 +44,7 @@ class Option:
         examples: valid texts.
         counts: valid numbers of values; they fill several fields in order.
         separator: between values.
-        made: converts the values to the value of the field; raises ValueError for invalid ones.
+        convert: converts the values to the value of the field; raises ValueError for invalid ones.
     """
 
     help: str
@@ -56,7 +56,7 @@ class Option:
     examples: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()
     separator: str = ","
-    made: Callable[[Sequence[Any]], Sequence[Any]] | None = None
+    convert: Callable[[Sequence[Any]], Sequence[Any]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +112,8 @@ class OptionSpec:
     def help(self) -> str:
         """Purpose, limits or choices, and default."""
         kind, default = self.kind, self._default()
-        named = all(choice in self.option.help for choice in kind.choices)
-        valid = kind.limits if named else f"one of {', '.join(kind.choices)}"
+        has_choices = all(choice in self.option.help for choice in kind.choices)
+        valid = kind.limits if has_choices else f"one of {', '.join(kind.choices)}"
         facts = "; ".join(fact for fact in ("" if self.by_unit else valid, default and f"default {default}") if fact)
         return f"{self.option.help} {facts[0].upper()}{facts[1:]}." if facts else self.option.help
 
@@ -223,9 +223,9 @@ def _limits(metadata: Sequence[object]) -> str:
     return f"at least {low}" if "ge" in found else low
 
 
-def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
+def _field_values(spec: OptionSpec, argument: object) -> dict[str, object]:
     """Return the values of an option by key; ValueError, TypeError or LookupError for one of another form."""
-    value: Any = given.tolist() if hasattr(given, "tolist") else given  # arrays and numbers of NumPy
+    value: Any = argument.tolist() if hasattr(argument, "tolist") else argument  # arrays and numbers of NumPy
     option, kinds, keys = spec.option, spec.kinds, list(spec.fields)
     if isinstance(value, Path) and kinds[0].base is str:
         value = str(value)
@@ -240,8 +240,8 @@ def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
     several = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
     if option.counts and len(several) not in option.counts:
         raise ValueError
-    if option.made is not None:
-        several = list(option.made(several))
+    if option.convert is not None:
+        several = list(option.convert(several))
     if len(keys) == 1:
         return {keys[0]: several}
     values: dict[str, object] = {}

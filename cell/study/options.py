@@ -27,7 +27,7 @@ def _span(ends: Sequence[float]) -> tuple[float, float]:
 def _axis(help_text: str, unit: str, example: str) -> Option:
     return Option(
         help_text, metavar=f"{unit}:{unit}", form="from:to or one value", examples=(example,), counts=(1, 2),
-        separator=":", made=_span,
+        separator=":", convert=_span,
     )  # fmt: skip
 
 

@@ -63,7 +63,7 @@ LAST_STEPS = (12.5, 12.5, 12.5, 3.75)
 """Steps of the compass search [mm, mm, mm, deg]."""
 TOLERANCE = 0.001
 """Coverages that differ by less count as equal [share of the surface]."""
-_KEPT_COVERAGE = 0.95  # share of the best coverage; below it the placement counts as lost
+_SUFFICIENT_COVERAGE = 0.95  # share of the best coverage; less counts as a loss
 _PROBES_MM = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)  # distances of the surroundings
 _BASIN = 0.1  # radius of a basin, as a share of the range
 
@@ -134,9 +134,9 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
             Trial.of(evaluate_placement, {**fixed, "position_mm": p[:3], "abc_deg": (p[3], b, c)}) for p in points
         ]
 
-        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
+        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
             if progress is not None:
-                progress(name, done, total)
+                progress(name, n_done, total)
 
         places[name] = places.get(name, 0) + len(trials)
         evaluated.update(points)
@@ -150,9 +150,9 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         trials = finalist_trials(scene, points)
         places["plans"] = len(trials)
 
-        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
+        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
             if progress is not None:
-                progress("plans", done, total)
+                progress("plans", n_done, total)
 
         values = {each.trial: each.values for each in run_trials(list(trials.values()), workers, on_outcome=on_outcome)}
         found = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
@@ -170,8 +170,8 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         )
     fine: dict[Place, PlaceCoverage] = {}
 
-    def refine(wanted: Sequence[Place]) -> None:
-        new = [point for point in dict.fromkeys(wanted) if point not in fine]
+    def refine(places: Sequence[Place]) -> None:
+        new = [point for point in dict.fromkeys(places) if point not in fine]
         fine.update(zip(new, measure("fine", new, FINE_CANDIDATES), strict=True))
 
     refine(_best_first(dict(zip(starts, coarse, strict=True)))[:FINE_PLACES])
@@ -205,9 +205,9 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
             (own,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
             ten.append(placement_row(default, (b, c), own))
     ten = _planned_first(ten, compute_plans(some), default)
-    lost, unreached = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
+    lost_mm, unreached_mm = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
     shares = [each.coverable for each in coarse]
-    return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost, unreached, places, len(evaluated))
+    return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, places, len(evaluated))
 
 
 def _planned_first(rows: Sequence[Row], planned: Mapping[Place, PlannedPlacement], default: Place) -> list[Row]:
@@ -308,9 +308,9 @@ def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCove
     covered = np.array([each.coverable for each in measure(points)])
     around = covered[1:].reshape(len(directions), len(_PROBES_MM))
     distance = np.broadcast_to(_PROBES_MM, around.shape)
-    lost = distance[around < _KEPT_COVERAGE * covered[0]]
-    unreached = distance[around == 0.0]
-    return float(lost.min(initial=np.inf)), float(unreached.min(initial=np.inf))
+    lost_mm = distance[around < _SUFFICIENT_COVERAGE * covered[0]]
+    unreached_mm = distance[around == 0.0]
+    return float(lost_mm.min(initial=np.inf)), float(unreached_mm.min(initial=np.inf))
 
 
 def sentences(found: PlaceSearchResult) -> list[str]:

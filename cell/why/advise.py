@@ -79,8 +79,8 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     advice: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[: default_effort().searched_samples])
     with reporter.stage("second set-ups") as progress:
-        for done, (turn, _, T_base_centre, there) in enumerate(rotated_worlds(world)):
-            progress(done, len(ROTATIONS))
+        for n_done, (turn, _, T_base_centre, there) in enumerate(rotated_worlds(world)):
+            progress(n_done, len(ROTATIONS))
             share, error = _share(samples, left, arm(there))
             what, command = f"{turn}, in addition to this plan{_support(there)}", setup_command(run, T_base_centre)
             advice.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
@@ -88,8 +88,8 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     some = np.sort(rng.permutation(len(samples))[: default_effort().searched_samples])
     displaced = list(_displaced_placements(world))
     with reporter.stage("other placements") as progress:
-        for done, (what, T_base_centre) in enumerate(displaced):
-            progress(done, len(displaced))
+        for n_done, (what, T_base_centre) in enumerate(displaced):
+            progress(n_done, len(displaced))
             share, error = _share(samples, some, arm(moved_world(world, T_base_centre)))
             placements.append(Advice(what, share, error, replan_command(run, T_base_centre)))
     placements.sort(key=lambda item: -item.share)

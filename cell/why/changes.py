@@ -70,12 +70,12 @@ class Changes:
         """Return one further candidate, and the few that measure nearly all rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.cell.casters)
-        chosen = what_if.select_views(pairs, len(rows))
+        selection = what_if.select_views(pairs, len(rows))
         found = []
-        for count in sorted({1, len(chosen)} if chosen else ()):
-            names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
+        for count in sorted({1, len(selection)} if selection else ()):
+            names = ", ".join(str(int(self.usable[view])) for view in selection[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
-            poses, setting = T[np.array(chosen[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
+            poses, setting = T[np.array(selection[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
             found.append(
                 PlanChange(ChangeKind.VIEW, count, sentence, setting, poses, self.cell.scanner, self.cell.casters)
             )
@@ -157,11 +157,13 @@ class Changes:
             self.cell.scanner, (self.cell.part_caster, make_caster(fixed_occluders(world))),
         )  # fmt: skip
 
-    def _reached(self, kind: ChangeKind, change: float, sentence: str, setting: str, made: Viewpoints) -> PlanChange:
+    def _reached(
+        self, kind: ChangeKind, change: float, sentence: str, setting: str, candidates: Viewpoints
+    ) -> PlanChange:
         """Return a change to other candidates, as far as they are reachable."""
-        reached = _reachable(made, self.world)
+        reached = _reachable(candidates, self.world)
         return PlanChange(
-            kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.cell.casters
+            kind, change, sentence, setting, candidates.T_object_scanner[reached], self.cell.scanner, self.cell.casters
         )
 
 

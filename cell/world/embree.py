@@ -70,9 +70,9 @@ class EmbreeRayCaster:
                 f"the faces for ray casting refer to vertices {indices.min()} to {indices.max()}; "
                 f"valid are 0 to {len(vertices) - 1}"
             )
-        named = np.zeros(len(vertices), dtype=np.bool_)
-        named[indices] = True
-        used = vertices[named]
+        is_used = np.zeros(len(vertices), dtype=np.bool_)
+        is_used[indices] = True
+        used = vertices[is_used]
         if not np.isfinite(used).all():
             raise CellError("the triangles for ray casting contain NaN or infinity; every coordinate must be finite")
         low, high = used.min(axis=0), used.max(axis=0)

@@ -184,13 +184,13 @@ def _farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> 
         points: centres (P, 3) and radii (P,) of balls [m].
     """
     offset, radius = points[0] - anchors[-1], points[1]
-    beyond = float((np.linalg.norm(offset, axis=1) + radius).max())
+    reach = float((np.linalg.norm(offset, axis=1) + radius).max())
     found = np.empty(len(anchors))
     found[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
     for i in range(len(anchors) - 2, -1, -1):
         step = anchors[i + 1] - anchors[i]
-        found[i] = np.linalg.norm(np.cross(step, lines[i])) + beyond
-        beyond += float(np.linalg.norm(step))
+        found[i] = np.linalg.norm(np.cross(step, lines[i])) + reach
+        reach += float(np.linalg.norm(step))
     return found
 
 

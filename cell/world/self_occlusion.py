@@ -90,13 +90,13 @@ class SelfOcclusion:
         result = OcclusionUpdate.CLEAR
         for view, at, rows, is_visible in zip(views.tolist(), q, seen, visible, strict=True):
             needed = rows[multiplicity[rows] == is_visible]  # by no other view: 1 if this one measures it, else 0
-            lost = rows[(multiplicity[rows] == 0) & ~is_visible]
-            share = float(areas[lost].sum() / areas[needed].sum()) if len(needed) else 0.0
+            lost_rows = rows[(multiplicity[rows] == 0) & ~is_visible]
+            share = float(areas[lost_rows].sum() / areas[needed].sum()) if len(needed) else 0.0
             if share <= MAX_OCCLUDED_SHARE:
                 continue
             result = OcclusionUpdate.OTHER_CONFIGURATIONS if result is OcclusionUpdate.CLEAR else result
             if not self._restrict_configurations(view, needed):
-                names = self._occluding_shapes(view, at, lost)
+                names = self._occluding_shapes(view, at, lost_rows)
                 self.reasons[view] = (
                     f"occluded by its own arm: {', '.join(names)} {'hides' if len(names) == 1 else 'hide'} "
                     f"{100 * share:.1f} % of the surface that only this view measured, and every joint configuration "
@@ -191,10 +191,10 @@ def _without(M: Measurability, view: int, rows: Ints) -> Measurability:
     """Return M without some entries of one column."""
     hidden = np.zeros(M.shape[0], dtype=np.bool_)
     hidden[rows] = True
-    kept = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
-    before = np.concatenate([[0], np.cumsum(kept)])
-    sigma = None if M.sigma is None else M.sigma[kept]
-    return Measurability(before[M.indptr], M.indices[kept], M.samples, M.n_viewpoints, sigma)
+    is_retained = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
+    before = np.concatenate([[0], np.cumsum(is_retained)])
+    sigma = None if M.sigma is None else M.sigma[is_retained]
+    return Measurability(before[M.indptr], M.indices[is_retained], M.samples, M.n_viewpoints, sigma)
 
 
 def _ends(scanner: Scanner) -> Floats:

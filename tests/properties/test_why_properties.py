@@ -85,7 +85,7 @@ def test_a_closed_void_is_occluded_by_the_part_and_no_change_helps(answer: Analy
     np.testing.assert_array_equal(np.flatnonzero(inside), group.rows)
     area = 2 * (0.04 * 0.03 + 0.04 * 0.012 + 0.03 * 0.012)
     np.testing.assert_allclose(answer.samples.areas[group.rows].sum(), area, rtol=0.01)
-    assert group.named == ()
+    assert group.changes == ()
     assert [row[3] for row in explain.table_rows(explain.why_report(answer, _NO_RUN)) if "part" in row[0]] == [
         explain.NO_CHANGE
     ]
@@ -106,7 +106,7 @@ def test_the_surface_under_the_clamp_is_gained_without_it(answer: Analysis) -> N
         points = answer.samples.points[group.rows]
         assert (points[:, 2] > 0.0199).all()
         assert (np.abs(points[:, :2] - [0.02, 0]) < [0.03, 0.025]).all()
-        without = [named for named in group.named if named.change.kind is ChangeKind.FIXTURE]
+        without = [named for named in group.changes if named.change.kind is ChangeKind.FIXTURE]
         assert [named.change.sentence for named in without] == ["without fixture clamp"]
         assert without[0].gained[group.rows].all()
         return
@@ -117,7 +117,7 @@ def test_sides_out_of_reach_and_views_that_are_not_needed_are_distinguished(answ
     """The far side is out of reach; below full coverage some surface only needs one more view."""
     assert (answer.samples.points[_group(answer, Reason.OUT_OF_REACH, "").rows, 0] > -0.0499).any()
     waiting = _group(answer, Reason.NOT_SELECTED, "")
-    assert {named.change.kind for named in waiting.named} == {ChangeKind.VIEW}
+    assert {named.change.kind for named in waiting.changes} == {ChangeKind.VIEW}
     assert answer.share(waiting.rows) > 0.02
 
 
@@ -157,8 +157,8 @@ def test_every_named_change_measures_the_claimed_share(answer: Analysis, run: Ru
     limits = dict(run.scene.scanner.own)
     seen = set()
     for group in answer.groups:
-        changes = [*((named, group.rows) for named in group.named)]
-        changes += [(patch.named, patch.rows) for patch in group.patches if patch.named is not None]
+        changes = [*((named, group.rows) for named in group.changes)]
+        changes += [(patch.change, patch.rows) for patch in group.patches if patch.change is not None]
         for named, rows in changes:
             change = named.change
             options = {"position_mm": place}
