@@ -206,10 +206,8 @@ def _sample_surface(session: PlanSession, settled: SettledScene, request: BatchR
             draw_samples(reference, planning, count, session.rng(stream))
             for count, stream in zip(counts, (Stream.BELIEF_SAMPLES, Stream.BELIEF_SCOUTS), strict=True)
         ]
-        part, scanner = (
-            make_surface(reference, planning, sample_sets[0]),
-            limited_scanner(settled.scene, settled.scanner),
-        )
+        part = make_surface(reference, planning, sample_sets[0])
+        scanner = limited_scanner(settled.scene, settled.scanner)
         rows, scouts = (
             select_samples(samples, request, limit, scanner, part.caster)
             for samples, limit in zip(sample_sets, (MAX_ROWS, MAX_SCOUTS), strict=True)

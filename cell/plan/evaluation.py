@@ -417,12 +417,12 @@ def no_samples(area_mm2: float, n_samples: int) -> str:
     )
 
 
-def _reason(region: RegionTargets, uncoverable_rows: Ints, share: float, problem: SelectionProblem) -> str:
+def _reason(region: RegionTargets, uncoverable: Ints, share: float, problem: SelectionProblem) -> str:
     """Return the most frequent cause for which no reachable candidate measures a share of a region."""
     known = problem.prediction
     samples, scanner = known.samples, known.scanner
-    some = uncoverable_rows[
-        np.linspace(0, len(uncoverable_rows) - 1, min(_N_DIAGNOSED, len(uncoverable_rows))).round().astype(np.int64)
+    some = uncoverable[
+        np.linspace(0, len(uncoverable) - 1, min(_N_DIAGNOSED, len(uncoverable))).round().astype(np.int64)
     ]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
     fails = REASON_OF_VERDICT[problem.reached.verdict]

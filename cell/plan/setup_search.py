@@ -322,7 +322,7 @@ class SetupSearch:
         )
         if not (self._request.allows_refinement and self._request.is_evaluated and is_movable):
             return None
-        goal = float(found.loads.wanted[0])
+        goal = float(found.loads.target_weight[0])
         setups, self._M, views = search_setups(self._session, self._surface, setups, self._M, self._views(found), goal)
         self.setups |= setups
         if sum(map(len, views.values())) == found.n_views:

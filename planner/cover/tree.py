@@ -230,7 +230,7 @@ class _Question:
             if result == FOUND:
                 level, n_top = tree.numbers[[LEVEL, N_SELECTED]]
                 largest = tree.columns[ID, tree.levels[FIRST_COLUMN, level] + tree.top[:n_top]]
-                return self._reduction.lift(np.concatenate((tree.levels[TAKEN, :level], largest)))
+                return self._reduction.lift(np.concatenate((tree.levels[FIXED_COLUMN, :level], largest)))
             if result == FULL:
                 rows, columns, entries = (
                     np.concatenate((a, np.zeros_like(a)), axis=-1) for a in (tree.rows, tree.columns, tree.entries)
@@ -253,7 +253,7 @@ MARGIN = 1e-9
 ROOT_STEPS, FIRST_STEPS, STEPS = 200, 30, 8
 """Steps of the multipliers at the root, in a new node, and after a column was fixed out of it."""
 
-DEFLECTION, SHRINK, MIN_LENGTH, PROGRESS, BEYOND = 0.5, 0.7, 0.1, 1e-4, 0.01
+DEFLECTION, SHRINK, MIN_LENGTH, PROGRESS, OVERSHOOT = 0.5, 0.7, 0.1, 1e-4, 0.01
 """Share of the previous direction in the next (with 0.3 trees are twice as large, with 0.8 ten times). Factor of the
 step length if the bound did not grow by the share `PROGRESS` of the gap; steps end below the third. Distance beyond the
 allowed units at which a step aims, as a share of the mean sum of a selected column."""
@@ -268,7 +268,7 @@ LEVEL, EFFORT, ALLOWED, N_SELECTED = range(4)
 """Numbers of a tree: level of the node (-1 at the end); effort; units that may stay uncovered; number of columns of
 `Tree.top` in the selection that was found, in addition to the fixed ones."""
 
-ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, TAKEN = range(8)
+ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, FIXED_COLUMN = range(8)
 """Fields of a level: numbers of rows and columns of its node; columns that may still be added; begin of rows, columns
 and entries in their arrays; number of visits; column that its child fixes in."""
 
@@ -297,7 +297,7 @@ class Tree(NamedTuple):
 
 def _root(instance: CoverInstance, left: int) -> Tree:
     """Return the root: all rows are uncovered; a row's multiplier is its units, which is optimal for one column."""
-    levels = np.zeros((TAKEN + 1, left + 2), dtype=np.int64)
+    levels = np.zeros((FIXED_COLUMN + 1, left + 2), dtype=np.int64)
     levels[[ROWS, COLUMNS, LEFT], 0] = instance.n_rows, instance.n_columns, left
     levels[[FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY], 1] = instance.n_rows, instance.n_columns, instance.n_entries
     begin, end = instance.column_start[:-1], instance.column_start[1:]
@@ -411,7 +411,7 @@ def bound_node(t: Tree, level: int, steps: int) -> int:
                 norm += d * d * unit * unit
         if norm == 0.0:
             break
-        step = length * (allowed + BEYOND * total / left - bound) / norm
+        step = length * (allowed + OVERSHOOT * total / left - bound) / norm
         for i in range(n_rows):
             unit = units[r0 + i]
             to = max(u[r0 + i] + step * direction[i] * unit * unit, 0.0)
@@ -467,7 +467,7 @@ def descend(t: Tree, level: int, c: int) -> bool:
     room = min(t.rows.shape[1] - r1 - n_rows, columns.shape[1] - c1 - levels[COLUMNS, level], len(entries) - e1 - size)
     if room < 0:
         return False
-    levels[TAKEN, level] = columns[ID, c0 + c]
+    levels[FIXED_COLUMN, level] = columns[ID, c0 + c]
     for i in range(n_rows):
         place[i] = 0
     for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):

@@ -124,8 +124,8 @@ class VoxelSpace(Value):
 
     def outside(self, points: Floats) -> Bools:
         """Return (N,) whether points (N, 3) [m] are outside the cylinder by more than a voxel."""
-        beyond = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
-        return np.asarray(beyond | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
+        is_outside = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
+        return np.asarray(is_outside | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
 
     def values_at(self, points: Floats, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Return the (N,) values of an (X, Y, Z) array at points (N, 3) [m]; outside the grid those of its border."""

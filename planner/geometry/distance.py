@@ -314,14 +314,14 @@ def distance(
             s[n, i], s[_A + n, i] = s[_W, i], s[_W, i] + s[_OF_B, i]
         n += 1
         inside = _nearest(n, s)
-        kept = 0
+        n_corners = 0
         for k in range(n):  # the simplex keeps the corners that span v
             if s[_WEIGHT, k] > 0.0:
                 for i in range(3):
-                    s[kept, i], s[_A + kept, i] = s[k, i], s[_A + k, i]
-                s[_WEIGHT, kept] = s[_WEIGHT, k]
-                kept += 1
-        n = kept
+                    s[n_corners, i], s[_A + n_corners, i] = s[k, i], s[_A + k, i]
+                s[_WEIGHT, n_corners] = s[_WEIGHT, k]
+                n_corners += 1
+        n = n_corners
         for i in range(3):
             s[_V, i] = s[_P, i] = 0.0
             for k in range(n):
@@ -629,8 +629,8 @@ class TriangleTree:
             (here, R), (there, of_other) = frames
             turn = R.reshape(3, 3).T @ of_other.reshape(3, 3)
             shift = R.reshape(3, 3).T @ (there - here)
-            held = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
-            if held or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
+            is_inside = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
+            if is_inside or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
                 return -measured
         return float(measured)
 

@@ -127,9 +127,9 @@ def solve_reach(
             if k == 0:
                 q, owner = solved.q[free], alive[solved.pose[free]]
             alive = alive[found == Verdict.REACHABLE]
-        kept = verdict[owner] == Verdict.REACHABLE
-        free_q.append(q[kept])
-        free_count[chunk] = np.bincount(owner[kept] - chunk[0], minlength=len(chunk))
+        is_reachable = verdict[owner] == Verdict.REACHABLE
+        free_q.append(q[is_reachable])
+        free_count[chunk] = np.bincount(owner[is_reachable] - chunk[0], minlength=len(chunk))
         if progress is not None:
             progress(int(chunk[-1]) + 1, total)
     offsets = np.concatenate(([0], np.cumsum(free_count)))

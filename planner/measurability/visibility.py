@@ -157,7 +157,7 @@ def find_measured(
     def rows_of(pose: int) -> Ints:
         return in_view(targets, poses[pose], scanner, None if each else still_open)
 
-    for done, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
+    for n_done, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
         free = np.ones(len(row), dtype=np.bool_)
         for view in np.unique(pose // K) if own is not None else ():
             if own is not None and (caster := own[view]) is not None:
@@ -167,7 +167,7 @@ def find_measured(
         if not each:
             still_open = still_open[~result[still_open, 0]]
         if progress:
-            progress(done, len(poses))
+            progress(n_done, len(poses))
     return result if each else result[:, 0]
 
 
@@ -229,11 +229,11 @@ def _compress(
     V, K = viewpoints.T_object_scanner.shape[:2]
     counts = np.zeros(V, dtype=np.int64)
     rows: list[Ints32] = []
-    for done, pose, row in pairs:
+    for n_done, pose, row in pairs:
         counts += np.bincount(pose // K, minlength=V)
         rows.append(row.astype(np.int32))
         if progress:
-            progress(done, V * K)
+            progress(n_done, V * K)
     indices = np.concatenate(rows) if rows else np.empty(0, dtype=np.int32)
     indptr = np.concatenate([[0], np.cumsum(counts)])
     matrix = csc_array((np.ones(len(indices), np.bool_), indices, indptr), shape=(len(samples), V)).tocsr()
@@ -280,11 +280,11 @@ def scanned_rows(
         return _rays_to_sphere(grid, T[:3, :3].T @ (middle - T[:3, 3]), scanner.source, radius)
 
     for first, rays in bundle_items(len(poses), rays_of, BUNDLE):
-        done = first + len(rays)
-        which, face = _scan(poses[first:done], rays, grid, normals, diagonal, scanner, ray_caster)
+        n_done = first + len(rays)
+        which, face = _scan(poses[first:n_done], rays, grid, normals, diagonal, scanner, ray_caster)
         row = row_of_face[face].astype(np.int64)
         keys = np.unique(((which + first) * n_rows + row)[row >= 0])
-        yield done, keys // n_rows, keys % n_rows
+        yield n_done, keys // n_rows, keys % n_rows
 
 
 def _rays_to_sphere(grid: Floats, middle: Floats, source: Floats, radius: float) -> Ints:
@@ -306,7 +306,7 @@ def _scan(
     ray_caster: RayCaster,
 ) -> tuple[Ints, Ints32]:
     """Return (pose, face) of every ray that is measured; pose i casts the rays `rays[i]` of the grid."""
-    ends = np.concatenate([[0], np.cumsum([len(chosen) for chosen in rays])])
+    ends = np.concatenate([[0], np.cumsum([len(indices) for indices in rays])])
     pose = np.repeat(np.arange(len(poses)), np.diff(ends))
     local = grid[np.concatenate(rays)]
     directions = np.empty_like(local)

@@ -151,7 +151,7 @@ def path_time(via: Floats, limits: JointLimits) -> float:
 
 
 _MAX_FAILURES = 40  # failed replacements in a row after which a path counts as short
-_CANDIDATES, _TRIED = 96, 3  # via points drawn per replacement, and certified at most (fastest first)
+_CANDIDATES, _CERTIFICATIONS = 96, 3  # via points drawn per replacement, and certified at most (fastest first)
 
 
 def shorten(
@@ -193,7 +193,7 @@ def shorten(
         free = checker.free(candidates[fastest]) if len(fastest) else np.zeros(0, dtype=bool)
         checks += len(fastest)
         failures += 1
-        for k in fastest[free][:_TRIED]:
+        for k in fastest[free][:_CERTIFICATIONS]:
             certified, used = certify(via[i], candidates[k], checker)
             checks += used
             if certified:
@@ -211,7 +211,7 @@ def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, 
 
     Fewer stops are never slower: the time of a straight move is subadditive.
     """
-    kept, i, checks = [via[0]], 0, 0
+    remaining, i, checks = [via[0]], 0, 0
     while i < len(via) - 1:
         j = len(via) - 1
         while j > i + 1:
@@ -221,6 +221,6 @@ def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, 
                 if certified:
                     break
             j -= 1
-        kept.append(via[j])
+        remaining.append(via[j])
         i = j
-    return np.array(kept), checks
+    return np.array(remaining), checks

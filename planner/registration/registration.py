@@ -50,8 +50,8 @@ class MovingScan:
         self._all_normals = scan.normals if isinstance(scan, PointCloud) else estimate_normals(scan.points, scan.sensor)
         self._tree = cKDTree(scan.points, balanced_tree=False, compact_nodes=False) if len(scan) else None
         count = min(samples, len(scan))
-        chosen = (np.arange(count) * len(scan)) // max(count, 1)
-        self._points, self._normals = scan.points[chosen], self._all_normals[chosen]
+        rows = (np.arange(count) * len(scan)) // max(count, 1)
+        self._points, self._normals = scan.points[rows], self._all_normals[rows]
         self.spacing = point_spacing(scan.points, scan.scan if isinstance(scan, PointCloud) else None)
         self.T: Floats = np.eye(4)
 
@@ -463,12 +463,12 @@ def _residuals(
 
     The partner is the model if there is one, else the other scans.
     """
-    chosen = [(a, b) for a, b in zip(before, after, strict=True) if b.scan == i and (b.partner < 0) == has_model]
-    if not chosen:
+    pairs = [(a, b) for a, b in zip(before, after, strict=True) if b.scan == i and (b.partner < 0) == has_model]
+    if not pairs:
         return np.empty(0), np.empty(0), 0.0
-    counts = np.concatenate([b.weight > 0 for _, b in chosen])
-    first = np.concatenate([a.residual for a, _ in chosen])[counts]
-    last = np.concatenate([b.residual for _, b in chosen])[counts]
+    counts = np.concatenate([b.weight > 0 for _, b in pairs])
+    first = np.concatenate([a.residual for a, _ in pairs])[counts]
+    last = np.concatenate([b.residual for _, b in pairs])[counts]
     return first, last, float(counts.mean())
 
 

@@ -230,7 +230,7 @@ def measure_deviation(
     nearest = reference if isinstance(reference, ClosestPointQuery) else ClosestPointQuery(reference)
     surfaces, counts = [mesh], [count]
     if closed is not None and closed.any():
-        surfaces = [TriangleMesh(mesh.vertices, mesh.faces[chosen]) for chosen in (~closed, closed)]
+        surfaces = [TriangleMesh(mesh.vertices, mesh.faces[mask]) for mask in (~closed, closed)]
         counts = [count, -(-count // 10)]
     samples = [sample_by_area(surface, n, rng) for surface, n in zip(surfaces, counts, strict=True)]
     signed = nearest.signed_distance(np.concatenate([mesh.vertices, *samples]))

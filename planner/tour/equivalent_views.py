@@ -132,8 +132,8 @@ def exchange_views(
         found = _exchange_once(index, best, required, fixed, tours, slack)
         if found is None or found.cost >= best.cost * (1.0 - 1e-9):
             break
-        best, kept = _without_repeats(found)
-        replaces = replaces[kept]
+        best, remaining = _without_repeats(found)
+        replaces = replaces[remaining]
         measured = np.minimum(index.counts(best.picks.tolist()), 1)
         slack = max(slack + index.area(measured > required) - index.area(measured < required), 0.0)
         required = measured
@@ -180,9 +180,9 @@ class _Tours:
         owners = [np.repeat(group, [len(q) for q in own]) for group, own in zip(groups, found, strict=True)]
         joints = [np.concatenate(own) for own in found]
         if near is not None and too_many_nodes(joints):
-            kept = [best_nodes_on_tour(self._detours(near, k, q), len(groups)) for k, q in enumerate(joints)]
-            owners = [own[best] for own, best in zip(owners, kept, strict=True)]
-            joints = [q[best] for q, best in zip(joints, kept, strict=True)]
+            best_nodes = [best_nodes_on_tour(self._detours(near, k, q), len(groups)) for k, q in enumerate(joints)]
+            owners = [own[rows] for own, rows in zip(owners, best_nodes, strict=True)]
+            joints = [q[rows] for q, rows in zip(joints, best_nodes, strict=True)]
         nodes, first = np.concatenate([self.home[None], *joints]), np.concatenate(([0], node_offsets(joints)))
         problem = gtsp.make_instance(move_time(nodes[:, None], nodes, self.limits), first)
         solution = gtsp.solve(problem, order + 1, self.rng, _STEPS, None, warm=near is not None)
@@ -229,17 +229,17 @@ def _exchange_once(
         ]
         found = tours.along(best, members)
         counts = index.counts(found.picks.tolist())
-        lost = np.flatnonzero(counts < required)
-        if index.area(lost) <= slack + (index.area((counts > 0) & (required == 0)) if slack > 0.0 else 0.0):
+        lost_samples = np.flatnonzero(counts < required)
+        if index.area(lost_samples) <= slack + (index.area((counts > 0) & (required == 0)) if slack > 0.0 else 0.0):
             return found
         # The owner of a lost sample is, of the views that measure it, the one with the largest share of alternatives
         # that measure it.
-        shares = np.array([_measuring_share(index, group, lost) for group in members])
+        shares = np.array([_measuring_share(index, group, lost_samples) for group in members])
         for k, view in enumerate(views):
-            shares[k, ~np.isin(lost, index.measured_by(int(view))) | np.isin(lost, owned[k])] = -1.0
+            shares[k, ~np.isin(lost_samples, index.measured_by(int(view))) | np.isin(lost_samples, owned[k])] = -1.0
         if (shares.max(axis=0) < 0.0).any():  # all its views own it: two of them were picked as one
             return None
-        for k, sample in zip(shares.argmax(axis=0), lost, strict=True):
+        for k, sample in zip(shares.argmax(axis=0), lost_samples, strict=True):
             owned[k] = np.append(owned[k], sample)
     return None
 
@@ -266,11 +266,11 @@ def _measuring_share(index: VisibilityIndex, group: Ints, samples: Ints) -> Floa
 
 def _without_repeats(tour: _Tour) -> tuple[_Tour, Ints]:
     """Return the tour without views that were picked twice, and the numbers of the remaining groups."""
-    kept = np.sort(np.unique(tour.picks, return_index=True)[1])
+    remaining = np.sort(np.unique(tour.picks, return_index=True)[1])
     number = np.full(len(tour.picks), -1)
-    number[kept] = np.arange(len(kept))
+    number[remaining] = np.arange(len(remaining))
     order = number[tour.order]
-    return _Tour(tour.cost, tour.picks[kept], order[order >= 0], tour.q[order >= 0]), kept
+    return _Tour(tour.cost, tour.picks[remaining], order[order >= 0], tour.q[order >= 0]), remaining
 
 
 def _free_groups(index: VisibilityIndex, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:
@@ -282,14 +282,14 @@ def _free_groups(index: VisibilityIndex, views: Ints, required: Ints, pinned: fr
     exclusive = [_alternatives(index, int(v), rows, _NONE, pinned) for v, rows in zip(views, needed, strict=True)]
     waiting = required.copy()
     groups: list[Ints] = [_NONE] * len(views)
-    taken = np.zeros(len(index.usable), dtype=np.bool_)
-    taken[views] = True
+    is_assigned = np.zeros(len(index.usable), dtype=np.bool_)
+    is_assigned[views] = True
     for k in np.argsort([len(group) for group in exclusive], kind="stable"):
         rows = index.measured_by(int(views[k]))
         rows = rows[waiting[rows] > 0]
         waiting[rows] -= 1
         group = _alternatives(index, int(views[k]), rows, _NONE, pinned)
-        group = group[~taken[group] | (group == views[k])]
-        taken[group] = True
+        group = group[~is_assigned[group] | (group == views[k])]
+        is_assigned[group] = True
         groups[k] = group
     return groups

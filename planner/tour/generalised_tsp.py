@@ -192,10 +192,12 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
         total = reached + cost[members[-1], start]
         if float(total.min()) < best:
             best = float(total.min())
-            chosen = [int(total.argmin())]
+            path_nodes = [int(total.argmin())]
             for parents in reversed(came_from):
-                chosen.append(int(parents[chosen[-1]]))
-            tour = np.array([start, *(m.start + i for m, i in zip(members, chosen[::-1], strict=True))], dtype=np.int64)
+                path_nodes.append(int(parents[path_nodes[-1]]))
+            tour = np.array(
+                [start, *(m.start + i for m, i in zip(members, path_nodes[::-1], strict=True))], dtype=np.int64
+            )
     return best, tour
 
 

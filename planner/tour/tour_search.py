@@ -265,19 +265,19 @@ class TourSearch:
         """Return the nodes of each view with the shortest detours from a tour; all nodes of a view not on the tour."""
         times, leave = self.roadmap.times, self.roadmap.leave
         place = {self.view_of(node): k for k, node in enumerate(tour)}
-        kept = []
+        nearest_nodes = []
         for view, own in zip(self.views, nodes, strict=True):
             if (k := place.get(view)) is not None:
                 detours = times[leave[tour[k - 1]], own] + self.stays[own] + times[leave[own], tour[k + 1]]
                 own = own[best_nodes_on_tour(detours, len(nodes))]
-            kept.append(own)
-        return kept
+            nearest_nodes.append(own)
+        return nearest_nodes
 
     def drop_unconnected(self) -> None:
         """Move views that lost their last configuration to `unconnected`."""
-        lost = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
-        self.unconnected += lost
-        self.views = [k for k in self.views if k not in lost]
+        unconnected_views = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
+        self.unconnected += unconnected_views
+        self.views = [k for k in self.views if k not in unconnected_views]
 
     def usable(self, node: int) -> bool:
         """Return whether a node can still be entered and left."""

@@ -79,15 +79,15 @@ def probe_attainable(targets: RayTargets, evaluator: ViewEvaluator) -> Attainabl
 def _first_reachable(aimed: AimedPoses, evaluator: ViewEvaluator) -> AimedPoses:
     """Return the first reachable pose of each point; later poses of the point are not tested."""
     order = np.argsort(aimed.row, kind="stable")
-    kept = []
+    rows = []
     while len(order):
         own, first = np.unique(aimed.row[order], return_index=True)
         tested = order[first]
         reachable = evaluator.are_reachable(evaluator.views(aimed.pick(tested))[:, None] @ evaluator.T_view_scanner)
-        kept.append(tested[reachable])
+        rows.append(tested[reachable])
         order = np.delete(order, first)
         order = order[~np.isin(aimed.row[order], own[reachable])]
-    which = np.concatenate([*kept, np.empty(0, dtype=np.int64)])
+    which = np.concatenate([*rows, np.empty(0, dtype=np.int64)])
     return aimed.pick(which[np.argsort(aimed.row[which])])
 
 

@@ -196,9 +196,9 @@ class _Growth:
             return
         rows = np.flatnonzero(self.count < self.multiplicity)
         measured = self.evaluator.measured(self.evaluator.views(aimed), self.targets, rows)
-        chosen = _select_greedily(measured, self.multiplicity - self.count[rows])
-        self.count[rows] += np.minimum(measured[:, chosen].sum(axis=1), self.multiplicity - self.count[rows])
-        self.known = self.known.extend(aimed.pick(chosen))
+        selection = _select_greedily(measured, self.multiplicity - self.count[rows])
+        self.count[rows] += np.minimum(measured[:, selection].sum(axis=1), self.multiplicity - self.count[rows])
+        self.known = self.known.extend(aimed.pick(selection))
 
 
 def _select_greedily(measured: Bools, demand: Ints) -> Ints:
@@ -208,13 +208,13 @@ def _select_greedily(measured: Bools, demand: Ints) -> Ints:
     """
     demand = np.minimum(demand, measured.sum(axis=1))
     useful = measured.astype(np.float32)  # sums of ones, exact below 2^24, by a fast product
-    chosen: list[int] = []
+    selection: list[int] = []
     while (demand > 0).any():
         best = int(((demand > 0).astype(np.float32) @ useful).argmax())
-        chosen.append(best)
+        selection.append(best)
         demand = demand - measured[:, best]
         useful[:, best] = 0.0
-    return np.array(sorted(chosen), dtype=np.int64)
+    return np.array(sorted(selection), dtype=np.int64)
 
 
 def _spread(rows: Ints) -> Ints:

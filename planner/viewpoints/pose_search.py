@@ -214,8 +214,8 @@ class _Search:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
         measured = self._measured(start)
         goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
-        kept = self._needed_most(measured, removed)
-        self._set(start.pick(kept), measured[kept])
+        remaining = self._needed_most(measured, removed)
+        self._set(start.pick(remaining), measured[remaining])
         limit = effort if removed == 1 else min(effort, self.evaluated + effort // 5)
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
         returns = 0
@@ -233,8 +233,8 @@ class _Search:
             elif since > _PATIENCE:
                 returns, since = returns + 1, 0
                 if returns % _RETURNS == 0:  # begin again without other views
-                    kept = np.sort(self.rng.permutation(len(start))[removed:])
-                    self._set(start.pick(kept), measured[kept])
+                    remaining = np.sort(self.rng.permutation(len(start))[removed:])
+                    self._set(start.pick(remaining), measured[remaining])
                     best, best_area = (self.views, self.measured.copy()), self._area()
                 else:
                     self._set(*best)
@@ -285,13 +285,13 @@ class _Search:
 
     def _needed_most(self, measured: Bools, removed: int) -> Ints:
         """Return all views but `removed`: repeatedly drop the one with the smallest area that no other measures."""
-        kept, times = np.arange(len(measured)), measured.sum(axis=0)
+        remaining, times = np.arange(len(measured)), measured.sum(axis=0)
         for _ in range(removed):
-            alone = (measured[kept] & (times == 1)) @ self.weights
+            alone = (measured[remaining] & (times == 1)) @ self.weights
             least = int(np.argmin(alone))
-            times = times - measured[kept[least]]
-            kept = np.delete(kept, least)
-        return kept
+            times = times - measured[remaining[least]]
+            remaining = np.delete(remaining, least)
+        return remaining
 
     def _round(self) -> None:
         """Move each view to its best reachable proposal, if that loses nothing or little.

@@ -150,7 +150,7 @@ def test_running_numbers_of_a_search_equal_those_computed_from_scratch(
     assert set(state.columns[search.MEMBER, : numbers[search.MEMBERS]].tolist()) == selected
     uncovered = state.rows[search.OPEN_ROW, : numbers[search.OPEN]]
     assert sorted(uncovered.tolist()) == np.flatnonzero(deficit).tolist()
-    assert numbers[search.SPENT] == instance.cost(sorted(selected))
+    assert numbers[search.TOTAL_COST] == instance.cost(sorted(selected))
     assert numbers[search.MISSING] == int(instance.units[deficit > 0].sum())
 
 
