@@ -41,7 +41,7 @@ from planner.values import Bools, Floats
 from planner.why.why import Reason
 
 
-def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
+def check_causes(work: ExplorationContext, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
     """Return the open area [mm2] of each stated sentence, and the area for which the sentence is true.
 
     Args:

@@ -51,9 +51,9 @@ def test_every_picture_is_shown() -> None:
 
 def test_every_picture_is_drawn_by_a_command() -> None:
     """`python -m benchmarks pictures` makes every picture of docs/images."""
-    from benchmarks.methods.pictures import IMAGES, MADE
+    from benchmarks.methods.pictures import GROUPS, IMAGES
 
-    assert {path.name for path in IMAGES.iterdir()} == set(MADE)
+    assert {path.name for path in IMAGES.iterdir()} == set(GROUPS)
 
 
 def test_the_readme_has_the_one_test_command_that_ci_runs() -> None:
