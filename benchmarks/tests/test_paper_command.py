@@ -19,12 +19,12 @@ _TABLE = ("table2", "--part", "mug", "--faces-share", "0.05", "--processes", "1"
 
 @pytest.fixture(scope="module")
 def table(
-    run_benchmarks: Run, made_once: Callable[..., Path], drawn: Callable[[], AbstractContextManager[None]]
+    run_benchmarks: Run, made_once: Callable[..., Path], drawing: Callable[[], AbstractContextManager[None]]
 ) -> Path:
     """Return the folder of a reduced table of one part."""
 
     def make(folder: Path) -> None:
-        with drawn(), pytest.MonkeyPatch.context() as patch:
+        with drawing(), pytest.MonkeyPatch.context() as patch:
             patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "effort_budget": DEFAULT_EFFORT // 60})
             process = run_benchmarks("paper", *_TABLE, "--out", "table", cwd=folder)
         assert process.returncode == 0, process.stderr

@@ -158,9 +158,9 @@ def test_draws_are_even_and_in_range() -> None:
     """In ten thousand draws of seven numbers none is out of range, and all are about equally frequent."""
     instance = canonical_form(CoverProblem(np.eye(2, dtype=bool), np.ones(2))).reduced
     state = LocalSearch(instance, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
-    drawn = np.bincount([search.draw(state.random, 7) for _ in range(10_000)], minlength=7)
-    assert len(drawn) == 7
-    assert abs(drawn - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
+    counts = np.bincount([search.draw(state.random, 7) for _ in range(10_000)], minlength=7)
+    assert len(counts) == 7
+    assert abs(counts - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
 
 
 @pytest.mark.parametrize("seed", [113])
