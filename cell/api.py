@@ -145,11 +145,11 @@ def setups(
     from cell.runs.setups import SetupsRun
     from cell.scene.options import option_specs
 
-    own, rest = _split(keywords, SetupsKeywords, option_specs(SetupOptions))
-    options = _options(SetupOptions, options, own)
+    setup_options, scene_options = _split(keywords, SetupsKeywords, option_specs(SetupOptions))
+    options = _options(SetupOptions, options, setup_options)
     if options.first is not None and part is None and scene is None:
-        part, rest = scene_after(open_run(options.first), rest), {}
-    checked, workpiece = read_request(part, scene, rest)
+        part, scene_options = scene_after(open_run(options.first), scene_options), {}
+    checked, workpiece = read_request(part, scene, scene_options)
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
     return SetupsRun.opened(plan_setups(session, checked, options=options, part=workpiece))
 
@@ -432,9 +432,12 @@ def explore(
     from cell.scan.options import ScanOptions
     from cell.scene.options import option_specs
 
-    own, of_scan, rest = _split(keywords, ExploreKeywords, option_specs(ExploreOptions), SCAN_OPTIONS)
-    checked, _ = read_request(part, scene, rest)
-    options, scanning = _options(ExploreOptions, options, own), _options(ScanOptions, scanning, of_scan)
+    explore_options, scan_options, scene_options = _split(
+        keywords, ExploreKeywords, option_specs(ExploreOptions), SCAN_OPTIONS
+    )
+    checked, _ = read_request(part, scene, scene_options)
+    options = _options(ExploreOptions, options, explore_options)
+    scanning = _options(ScanOptions, scanning, scan_options)
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
     file = explore(_session(progress, out=folder, argv=argv, confirm=ask), checked, options, scanning)
     return Exploration(folder, file)
@@ -508,10 +511,10 @@ def inspect(
     from cell.plan.pipeline import read_request
     from cell.scene.options import option_specs
 
-    own, rest = _split(keywords, InspectKeywords, option_specs(InspectOptions))
-    has_request = part is not None or scene is not None or rest
-    checked = read_request(part, scene, rest)[0] if has_request else None
-    options, folder = _options(InspectOptions, options, own), None if out is None else Path(out)
+    inspect_options, scene_options = _split(keywords, InspectKeywords, option_specs(InspectOptions))
+    has_request = part is not None or scene is not None or scene_options
+    checked = read_request(part, scene, scene_options)[0] if has_request else None
+    options, folder = _options(InspectOptions, options, inspect_options), None if out is None else Path(out)
     return inspect(_folder(source), checked, options, _reporter(progress), folder)[1].result
 
 

@@ -134,8 +134,8 @@ def explain_uncovered(
 def _open_run(
     session: Session[None], scene: Scene, surface: Workpiece, request: BatchRequest, out: Path
 ) -> AbstractContextManager[pipeline.OpenRun]:
-    own = {"max_views": request.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
-    scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=own)})
+    changes = {"max_views": request.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
+    scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=changes)})
     inner = replace(session, out=out, use_cache=False, origin=Origin())
     return pipeline.open_run(inner, scene, surface, with_plots=False)
 

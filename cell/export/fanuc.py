@@ -68,10 +68,10 @@ def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSett
         for letter, statements in _routines(name, signals, programs[0].q.shape[1]).items()
     }
     main: list[str] = []
-    for number, (program, own) in enumerate(zip(programs, settings, strict=True), start=1):
+    for number, (program, program_settings) in enumerate(zip(programs, settings, strict=True), start=1):
         program.require_straight_sweeps("an L motion of LS")
         title = program.info.name.upper()
-        contents[title] = _file(title, list(_statements(program, own, name)), _positions(program))
+        contents[title] = _file(title, list(_statements(program, program_settings, name)), _positions(program))
         main += [f"MESSAGE[PUT PART FOR SET-UP {number}]", "PAUSE", f"CALL {title}"]
     if len(programs) > 1:
         contents[name] = _file(name, main, ())

@@ -294,14 +294,14 @@ def _volume_error(source: str, groups: list[bytes], model: StepModel, scale: flo
     missing = 0.0
     for index, face in enumerate(model.cad.faces):
         if face.kind in (SurfaceKind.CYLINDER, SurfaceKind.SPHERE, SurfaceKind.CONE, SurfaceKind.TORUS):
-            own = model.cad.of_triangle == index
-            triangles = model.vertices[model.faces[own]]
+            mask = model.cad.of_triangle == index
+            triangles = model.vertices[model.faces[mask]]
             middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
             outside = (
-                middles + 1e-6 * (cross[own] / np.linalg.norm(cross[own], axis=1, keepdims=True).clip(1e-30))[:, None]
+                middles + 1e-6 * (cross[mask] / np.linalg.norm(cross[mask], axis=1, keepdims=True).clip(1e-30))[:, None]
             )
             distance, moved = face.distance(middles), face.distance(outside)
-            missing += float((areas[own, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
+            missing += float((areas[mask, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
     return abs(missing) / volume
 
 
@@ -467,12 +467,12 @@ def _join_solids(found: list[_Body]) -> StepModel:
     """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
     any_solid = any(body.solid.any() for body in found)
     selection = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
-    omitted = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in selection)
-    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[own]) for body, own in selection)
+    omitted = sum(float(double_areas(body.vertices, body.faces[~mask]).sum()) / 2 for body, mask in selection)
+    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[mask]) for body, mask in selection)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]
-    for body, own in selection:
-        index.append(body.face_of[own] + len(every))
+    for body, mask in selection:
+        index.append(body.face_of[mask] + len(every))
         every += body.cad
     there, of_triangle = np.unique(np.concatenate(index), return_inverse=True)
     cad = CadModel(tuple(every[k] for k in there.tolist()), of_triangle.astype(np.int32))

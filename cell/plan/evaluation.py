@@ -201,7 +201,9 @@ def _part(part: Workpiece, planning: TriangleMesh) -> schema.ReportPart:
 def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettings:
     scene, settings, sweeps = settled.scene, settled.settings, plan.driven.sweeps
     seconds = sorted(path.duration for path in sweeps)
-    own = {key: value for key, value in settings.scanner.items() if key not in schema.ReportSettings.model_fields}
+    scanner_keys = {
+        key: value for key, value in settings.scanner.items() if key not in schema.ReportSettings.model_fields
+    }
     return schema.ReportSettings(
         placement_mm=scene.placement.position_mm,
         placement_abc_deg=scene.placement.abc_deg,
@@ -218,7 +220,7 @@ def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettin
         required_visible=scene.plan.required_visible,
         seed=scene.plan.seed,
         **_options(scene.plan),
-        **{key: list(value) if isinstance(value, tuple) else value for key, value in own.items()},
+        **{key: list(value) if isinstance(value, tuple) else value for key, value in scanner_keys.items()},
     )
 
 
@@ -475,8 +477,8 @@ def attainable_coverage(
     left = float(samples.areas[rest].sum()) / total
     # A share that is estimated from n samples has a standard error of at most 1 / (2 sqrt(n)).
     count = max(_LEAST_SEARCHED, int(np.ceil((left / (2 * _ATTAINABLE_ERROR)) ** 2)))
-    some = np.sort(rng.permutation(rest)[: min(count, problem.request.effort.searched_samples)])
-    searched = pick_samples(samples, some)
+    sample_rows = np.sort(rng.permutation(rest)[: min(count, problem.request.effort.searched_samples)])
+    searched = pick_samples(samples, sample_rows)
     found = probe_attainable(
         RayTargets.of(searched.points, searched.normals, searched.region),
         view_evaluator(problem.cell, known.scanner, known.casters),
@@ -486,7 +488,7 @@ def attainable_coverage(
     return schema.Attainable(
         share=float(samples.areas[is_known].sum()) / total + left * share.value,
         standard_error=left * share.standard_error,
-        samples=len(some),
+        samples=len(sample_rows),
         out_of_reach=left * out_of_reach,
         out_of_sight=left * (1 - share.value - out_of_reach),
     )

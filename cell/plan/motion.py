@@ -246,8 +246,10 @@ class ViewsAtRest(ViewConnector):
         aside = step * np.concatenate([shares, np.negative(shares)])
         picks, found = groups.picked_by(motion), []
         for view, q in sorted(zip(motion.order.tolist(), motion.q, strict=True), key=lambda stop: stop[0]):
-            own = groups.configurations[view][groups.owner[view] == picks[view]]
-            found.append(np.concatenate([own, self._configurations_beside(chain, int(picks[view]), q, aside)]))
+            configurations = groups.configurations[view][groups.owner[view] == picks[view]]
+            found.append(
+                np.concatenate([configurations, self._configurations_beside(chain, int(picks[view]), q, aside)])
+            )
         return EquivalentViews(
             single_views(picks),
             tuple(np.full(len(q), pick) for q, pick in zip(found, picks, strict=True)),
@@ -263,9 +265,9 @@ class ViewsAtRest(ViewConnector):
         solved = setpoints(branches, chain.limits)
         found = []
         for side in range(len(angles)):
-            own = solved.q[solved.pose == side]
-            if len(own):
-                found.append(own[np.argmin(np.abs(own - q).max(axis=1))])
+            configurations = solved.q[solved.pose == side]
+            if len(configurations):
+                found.append(configurations[np.argmin(np.abs(configurations - q).max(axis=1))])
         near = np.array(found).reshape(-1, len(q))
         near = near[problem.cell.checker.free(near)]
         return near[self._arm.occludes_no_more(view, q, near)] if len(near) else near
@@ -319,8 +321,8 @@ class SweepingViews(ViewConnector):
         paths = [self._sweeps(int(view)).paths for view in views]
         return EquivalentViews(
             single_views(views),
-            tuple(np.full(len(own), view) for view, own in zip(views, paths, strict=True)),
-            tuple(np.stack([path.q[0] for path in own]) for own in paths),
+            tuple(np.full(len(view_paths), view) for view, view_paths in zip(views, paths, strict=True)),
+            tuple(np.stack([path.q[0] for path in view_paths]) for view_paths in paths),
         )
 
     def traversals(self, views: Ints) -> list[list[SweepTraversal]]:

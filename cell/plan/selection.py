@@ -124,12 +124,12 @@ class RegionGroups:
         """Collect the targets of a scene's regions, the rest included; None without regions."""
         if not regions:
             return None
-        own = [each for each in regions if each.is_measured and each.coverage is not None]
+        separate = [each for each in regions if each.is_measured and each.coverage is not None]
         shared = [each for each in regions if each.is_measured and each.coverage is None]
         first = int(bool(shared))  # the group that regions without a coverage share
-        coverage = [plan.coverage] * first + [float(each.coverage or 0.0) for each in own]
+        coverage = [plan.coverage] * first + [float(each.coverage or 0.0) for each in separate]
         return cls(
-            np.array([first + own.index(each) if each in own else 0 for each in regions]),
+            np.array([first + separate.index(each) if each in separate else 0 for each in regions]),
             np.array(coverage or [plan.coverage]),
             np.array([min(plan.multiplicity if each.views is None else each.views, _MAX_DEMAND) for each in regions]),
             np.array([each.weight for each in regions]),
@@ -631,8 +631,8 @@ def _needed_rows(problem: SelectionProblem, selection: Selection, pool: SurfaceS
     left = pick_samples(left, find_measured(T[problem.usable()], left, known.scanner, known.casters))
     # All fresh samples of the planning faces that fail: the failing samples alone would overstate the failure.
     needed = np.isin(pool.planning_face, left.planning_face)
-    some = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _N_ADDED_ROWS)]
-    return np.asarray(np.isin(np.arange(len(pool)), some))
+    rows = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _N_ADDED_ROWS)]
+    return np.asarray(np.isin(np.arange(len(pool)), rows))
 
 
 def measure_rows(measured: MeasuredSet, usable: Bools, samples: SurfaceSamples) -> Measurability:
@@ -702,8 +702,8 @@ def simulate_pose_errors(
         progress: called with (executions done, executions).
     """
     every = prediction.samples
-    some = np.sort(rng.permutation(len(every))[:_N_SIMULATED_SAMPLES])
-    samples = pick_samples(every, some)
+    rows = np.sort(rng.permutation(len(every))[:_N_SIMULATED_SAMPLES])
+    samples = pick_samples(every, rows)
     area = samples.areas / samples.areas.sum()
     error, n = pose_error(plan), len(T_object_poses)
 

@@ -81,17 +81,17 @@ class SetupCandidate:
 
     def scene(self, shared: Scene) -> Scene:
         """Return the scene of this set-up alone."""
-        own: dict[str, object] = {
+        changes: dict[str, object] = {
             "placement": self.placement,
             "setup": (),
             "plan": shared.plan.without_selection().with_order_of(shared.plan),
         }
         if self.post is not None:
-            own["post"] = self.post
+            changes["post"] = self.post
         if self.table is not None:
-            own["fixtures"] = (*shared.fixtures, *self.table.fixtures)
-            own |= {} if self.table.post is None else {"post": self.table.post}
-        return shared.model_copy(update=own)
+            changes["fixtures"] = (*shared.fixtures, *self.table.fixtures)
+            changes |= {} if self.table.post is None else {"post": self.table.post}
+        return shared.model_copy(update=changes)
 
 
 def given_candidates(scene: Scene) -> list[SetupCandidate]:
@@ -164,10 +164,10 @@ def _poses(world: World, part: TriangleMesh, placed: Floats) -> Iterator[tuple[s
         name = f"in a stable pose of probability {probability:.2f}"
         if not post.enabled:
             yield name, R, None
-        elif (own := Underside(part, R, axis).supporting_post(post)) is None:
+        elif (new_post := Underside(part, R, axis).supporting_post(post)) is None:
             fastened.append((name + needs_fixture(), R, None))
         else:
-            yield f"{name} on a post of {own.diameter_mm:g} mm", R, None if own == post else own
+            yield f"{name} on a post of {new_post.diameter_mm:g} mm", R, None if new_post == post else new_post
     yield from fastened
 
 

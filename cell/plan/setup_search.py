@@ -530,10 +530,10 @@ def search_setups(
     if len(found) == n_views:
         return known, matrices, left
     for place, row in enumerate(used):
-        own, candidates = found.pick(found.place == place), setups[row].measured.candidates
-        more = moved_viewpoints(own, candidates.face)
+        poses, candidates = found.pick(found.place == place), setups[row].measured.candidates
+        more = moved_viewpoints(poses, candidates.face)
         if len(more):
             known[row] = setups[row].with_viewpoints(session, surface, M[row], more)
             matrices[row] = known[row].measured.M
-        left[row] = np.concatenate([own.origin[~own.moved], len(candidates) + np.arange(len(more))])
+        left[row] = np.concatenate([poses.origin[~poses.moved], len(candidates) + np.arange(len(more))])
     return known, matrices, {row: columns for row, columns in left.items() if len(columns)}

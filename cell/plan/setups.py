@@ -276,9 +276,9 @@ def _setups_file(
 def _regions(scene: Scene, samples: SurfaceSamples, seen: Bools, coverable: Bools) -> Iterator[SetupsRegion]:
     """Yield the coverage of each region that counts."""
     for number, region in enumerate(with_rest(scene.region)):
-        own = samples.region == number
-        if region.is_measured and np.any(own):
-            visible, share = float(seen[own].mean()), float(coverable[own].mean())
+        is_inside = samples.region == number
+        if region.is_measured and np.any(is_inside):
+            visible, share = float(seen[is_inside].mean()), float(coverable[is_inside].mean())
             yield SetupsRegion(
                 name=region.name,
                 target=scene.plan.coverage if region.coverage is None else region.coverage,
@@ -319,13 +319,13 @@ def uncovered_surface(
     contact = ~seen & ~has_candidate & np.logical_and.reduce([setups[row].contact for row in used])
     rest = np.flatnonzero(~seen & ~has_candidate & ~contact)
     rng = session.rng(Stream.ATTAINABLE_SAMPLES)
-    some = np.sort(rng.permutation(rest)[: session.effort.searched_samples])
-    measured, visible = np.zeros(len(some), dtype=np.bool_), np.zeros(len(some), dtype=np.bool_)
+    rows = np.sort(rng.permutation(rest)[: session.effort.searched_samples])
+    measured, visible = np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
     for row in used:
         if not isinstance(setup := setups[row], PlannedSetup):
             continue
-        free = np.flatnonzero(~setup.contact[some] & ~measured)
-        searched = pick_samples(samples, some[free])
+        free = np.flatnonzero(~setup.contact[rows] & ~measured)
+        searched = pick_samples(samples, rows[free])
         targets = RayTargets.of(searched.points, searched.normals, searched.region)
         found = probe_attainable(targets, setup.evaluator(searched))
         measured[free] |= found.measured

@@ -224,9 +224,9 @@ def _scanner_as_planned(now: Scene, planned: Scene) -> Scene:
         left = {"scanner": ("baseline_mm",), "housing": ("size_mm", "bracket_diameter_mm")}
         update = {}
         for table, keys in left.items():
-            own, default = getattr(now, table), getattr(planned, table)
-            update[table] = own.model_copy(
-                update={key: getattr(default, key) for key in keys if getattr(own, key) is None}
+            current, default = getattr(now, table), getattr(planned, table)
+            update[table] = current.model_copy(
+                update={key: getattr(default, key) for key in keys if getattr(current, key) is None}
             )
         return now.model_copy(update=update)
     return with_device(now.model_copy(update={"plan": planned.plan}), planned.part.name, 0.0)

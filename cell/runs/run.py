@@ -331,8 +331,8 @@ class Run(ArtefactFolder):
         import mujoco
 
         model = self.cell_model()
-        own = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
-        return [*own, *(axis_name(axis) for axis in range(len(own), self.motion.q.shape[1]))]
+        names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
+        return [*names, *(axis_name(axis) for axis in range(len(names), self.motion.q.shape[1]))]
 
     @contextmanager
     def compiling(self) -> Iterator[None]:
@@ -699,8 +699,8 @@ def npz_arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
         for array in arrays.values():  # an invalid character would raise where it is first used
-            own = array.astype(array.dtype.newbyteorder("=")).tobytes() if array.dtype.kind == "U" else b""
-            if (np.frombuffer(own, dtype=np.uint32) > sys.maxunicode).any():
+            code_points = array.astype(array.dtype.newbyteorder("=")).tobytes() if array.dtype.kind == "U" else b""
+            if (np.frombuffer(code_points, dtype=np.uint32) > sys.maxunicode).any():
                 raise ValueError("holds an invalid character")
         return arrays
     except (

@@ -424,17 +424,17 @@ def verify_views(
         refuse(path, "has poses at via points without a view")
     ends = []
     for k, view in enumerate(plan.views):
-        own = rows[number == k]
+        view_rows = rows[number == k]
         poses = 1 if view.sweep is None else len(view.sweep.q_deg)
         backwards = view.sweep is not None and view.sweep.backwards
-        if motion.pose[own].tolist() != list(range(poses))[:: -1 if backwards else 1]:
+        if motion.pose[view_rows].tolist() != list(range(poses))[:: -1 if backwards else 1]:
             refuse(path, f"does not pass the poses of view {k + 1} in order")
-        expected = _view(view, motion.via_q[own][:: -1 if backwards else 1], candidates, world, kinematics)
+        expected = _view(view, motion.via_q[view_rows][:: -1 if backwards else 1], candidates, world, kinematics)
         if key := first_difference(view, expected):
             refuse(
                 run.folder / "plan.json", f"differs from motion.npz, the mount or the candidates at views[{k}].{key}"
             )
-        ends.append(int(own[-1]) if view.sweep is None else _line_end(motion, int(own[-1])))
+        ends.append(int(view_rows[-1]) if view.sweep is None else _line_end(motion, int(view_rows[-1])))
     segment = np.searchsorted(ends, np.arange(len(motion.via_q)), side="left")
     if not np.array_equal(motion.segment, segment):
         refuse(path, "has segments that do not end at its views")
@@ -504,8 +504,8 @@ def verify_sweeps(
         if view.sweep is None:
             continue
         row = int(np.flatnonzero(motion.view == view.id)[0])
-        own = np.flatnonzero(motion.line == motion.line[row])
-        driven: Ints = to_steps(motion.via_q[max(0, int(own[0]) - 1) : int(own[-1]) + 1])
+        line_rows = np.flatnonzero(motion.line == motion.line[row])
+        driven: Ints = to_steps(motion.via_q[max(0, int(line_rows[0]) - 1) : int(line_rows[-1]) + 1])
         column = world.T_base_object @ candidates.T_object_scanner[view.id]
         paths = find_sweeps(column, world.T_flange_scanner, kinematics, limits, speed, checker).paths
         match = next((path for path in paths if np.array_equal(to_steps(path.q), driven)), None)
@@ -513,8 +513,8 @@ def verify_sweeps(
             refuse(path, f"drives a line for the sweep of view {k + 1} that cannot be proven")
         if key := first_difference(view.sweep, sweep_values(view.T_object_poses, match)):
             refuse(run.folder / "plan.json", f"states another sweep than motion.npz at views[{k}].sweep.{key}")
-        on_line[own] = len(found)
-        found.append((int(own[0]) - 1, match))
+        on_line[line_rows] = len(found)
+        found.append((int(line_rows[0]) - 1, match))
     if not np.array_equal(on_line, motion.line):
         refuse(path, "has lines that do not belong to its sweeps")
     return found

@@ -67,12 +67,12 @@ class GenICam:
         settings = parse_qsl(query, keep_blank_values=True)
         self._device = device
         self._features = [(name, value) for name, value in settings if name not in _OPTIONS]
-        own = dict(settings)
-        self._producer = own.get("producer")
+        keys = dict(settings)
+        self._producer = keys.get("producer")
         try:
-            self._min_confidence = float(own.get("min_confidence", 0))
+            self._min_confidence = float(keys.get("min_confidence", 0))
         except ValueError:
-            raise UsageError(f"min_confidence={own['min_confidence']} must be a number") from None
+            raise UsageError(f"min_confidence={keys['min_confidence']} must be a number") from None
         if getattr(context.cell.scanner, "T_view_scanner", None) is not None:
             raise UsageError("--acquire genicam takes one frame at rest; the plan moves a line sensor: use files:DIR")
         self._frame, self._unit = frame_and_unit(context)

@@ -224,9 +224,9 @@ class ScanOptions(CurrentFiles):
         Raises:
             PlannerError: if a value is invalid.
         """
-        own = {key: value for key, value in stored.items() if key in cls.model_fields and key != "confirm_motion"}
+        options = {key: value for key, value in stored.items() if key in cls.model_fields and key != "confirm_motion"}
         try:
-            return cls.model_validate({**own, "registration": stored.get("register")})
+            return cls.model_validate({**options, "registration": stored.get("register")})
         except ValidationError as error:
             raise PlannerError("; ".join(error_messages(error, cls))) from error
 

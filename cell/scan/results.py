@@ -419,7 +419,7 @@ def merge_scans(
         keep = ~_is_outlier(nearest, cloud)
         if not keep.all():
             parts = np.split(keep, np.cumsum([len(each) for each in clouds])[:-1])
-            clouds = [ScanCloud(each.points[own], each.sensor) for each, own in zip(clouds, parts, strict=True)]
+            clouds = [ScanCloud(each.points[rows], each.sensor) for each, rows in zip(clouds, parts, strict=True)]
             cloud, after = merge(clouds), _rms_distance(nearest, clouds)
     stop = np.array([scan.stop for scan in scans], dtype=np.int32)[cloud.scan]
     return MergedScans(cloud, stop, tuple(poses), registration, before, after, count - len(cloud), fit)
@@ -434,10 +434,10 @@ def point_sigma(merged: MergedScans, scans: Sequence[ExecutedScan], scanner: Sca
     sigma = np.full(len(merged.cloud), np.nan)
     law = getattr(scanner, "sigma", None)
     for number, (scan, T) in enumerate(zip(scans, merged.poses, strict=True)):
-        own = merged.cloud.scan == number
-        if callable(law) and len(scan.T_reported_poses) == 1 and own.any():
+        is_of_scan = merged.cloud.scan == number
+        if callable(law) and len(scan.T_reported_poses) == 1 and is_of_scan.any():
             R, t = T[:3, :3], T[:3, 3]
-            sigma[own] = law((merged.cloud.points[own] - t) @ R, merged.cloud.normals[own] @ R)
+            sigma[is_of_scan] = law((merged.cloud.points[is_of_scan] - t) @ R, merged.cloud.normals[is_of_scan] @ R)
     sigma[~np.isfinite(sigma)] = np.nan
     return sigma
 
@@ -601,9 +601,9 @@ def _region_values(cell: RunCell, achieved: AchievedCoverage) -> tuple[ExecutedR
         return None
     times, found = achieved.surface.seen.sum(axis=1), []
     for number, region in enumerate(cell.scene.regions or ()):
-        own, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
-        if len(own):
-            visible, enough = float((own > 0).mean()), float((own >= views).mean())
+        region_times, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
+        if len(region_times):
+            visible, enough = float((region_times > 0).mean()), float((region_times >= views).mean())
             found.append(ExecutedRegion(name=region.name, visible=visible, views=views, satisfied_share=enough))
     return tuple(found)
 

@@ -248,8 +248,8 @@ class MeshFixture(NamedFixture):
     @model_validator(mode="before")
     @classmethod
     def _of_its_format(cls, table: Any) -> Any:
-        own = own_units(str(table.get("path"))) if isinstance(table, dict) else None
-        return {"units": own, **table} if own is not None else table
+        units = own_units(str(table.get("path"))) if isinstance(table, dict) else None
+        return {"units": units, **table} if units is not None else table
 
     @field_validator("path")
     @classmethod
@@ -749,10 +749,10 @@ def scanner_keys(kind: str) -> tuple[str, ...] | None:
     """
     from cell import scanners
 
-    own = scanners.keys(kind)
-    if own is None:
+    type_keys = scanners.keys(kind)
+    if type_keys is None:
         return None
-    return (*_COMMON_SCANNER_KEYS, *own, *((_RAY_GRID_KEY,) if "resolution_deg" in own else ()))
+    return (*_COMMON_SCANNER_KEYS, *type_keys, *((_RAY_GRID_KEY,) if "resolution_deg" in type_keys else ()))
 
 
 def _fill_in_sensor(content: dict[str, object]) -> list[InitErrorDetails]:
@@ -924,8 +924,8 @@ class Part(Table):
         if path is not None and (why := units_problem(path, units)):
             raise ValueError(f"is given for {path}, which {why}")
         if path is not None and units is None:
-            if (own := own_units(path)) is not None:
-                return own
+            if (file_units := own_units(path)) is not None:
+                return file_units
             raise ValueError("is missing; give the unit of the file: mm, cm, m, um or in")
         if path is None and units is not None:
             raise ValueError("is given for a built-in part, which has its own size; omit it, or give part.path")

@@ -246,9 +246,9 @@ def _field_values(spec: OptionSpec, argument: object) -> dict[str, object]:
         return {keys[0]: several}
     values: dict[str, object] = {}
     for key, kind in zip(keys, kinds, strict=True):
-        some, several = several[: kind.length or 1], several[kind.length or 1 :]
-        if some:
-            values[key] = some if kind.length else some[0]
+        parts, several = several[: kind.length or 1], several[kind.length or 1 :]
+        if parts:
+            values[key] = parts if kind.length else parts[0]
     return values
 
 

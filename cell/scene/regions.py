@@ -42,11 +42,11 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     number = np.full(len(part.reference.faces), len(regions), dtype=np.int32)
     free = np.ones(len(number), dtype=np.bool_)
     for k, region in enumerate(regions):
-        own = free & (_selected(region, part, scene) if region.selects else True)
-        if region.selects and not own.any():
+        is_inside = free & (_selected(region, part, scene) if region.selects else True)
+        if region.selects and not is_inside.any():
             raise SceneError(_empty_region(region, part, free))
-        number[own] = k if region.is_measured else -1
-        free &= ~own
+        number[is_inside] = k if region.is_measured else -1
+        free &= ~is_inside
     if not (number >= 0).any():
         raise SceneError("no surface of the part is to be measured; remove care = 'no' from the regions to be measured")
     return replace(part, reference=replace(part.reference, region=number))
@@ -66,11 +66,11 @@ def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
     mesh, parent = part.reference, np.arange(len(part.reference.faces))
     for box in (region.box_mm for region in regions if region.box_mm is not None):
         for k, at in enumerate(box):
-            mesh, own = cut_at_plane(mesh, k % 3, at / 1000)
-            parent = parent[own]
+            mesh, parent_of = cut_at_plane(mesh, k % 3, at / 1000)
+            parent = parent[parent_of]
     if any(region.painted is not None for region in regions):
-        mesh, own = _fine(mesh)
-        parent = parent[own]
+        mesh, parent_of = _fine(mesh)
+        parent = parent[parent_of]
     cad = part.cad and replace(part.cad, of_triangle=part.cad.of_triangle[parent])
     return replace(part, reference=mesh, cad=cad)
 
@@ -157,12 +157,12 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
         SceneError: if the scanner has no model of a limited quantity.
     """
     inf = float("inf")
-    own = tuple(
+    region_limits = tuple(
         QualityLimits((each.max_sigma_mm or inf) / 1000, (each.max_spacing_mm or inf) / 1000) for each in regions
     )
-    if all(each == QualityLimits() for each in own):
-        own = ()
-    if max_sigma_mm is None and not own:
+    if all(each == QualityLimits() for each in region_limits):
+        region_limits = ()
+    if max_sigma_mm is None and not region_limits:
         return scanner
     for region in regions:
         for key, quantity in (("max_spacing_mm", "spacing"), ("max_sigma_mm", "sigma")):
@@ -171,4 +171,4 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
                     f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} has no model of "
                     f"its {quantity}; omit the limit, or choose another scanner"
                 )
-    return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)
+    return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, region_limits)

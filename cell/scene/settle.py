@@ -260,12 +260,12 @@ def _default_device(scene: Scene, part: str, longest_mm: float) -> str:
 
 def _range_and_baseline(device: Sensor, scene: Scene, default: str) -> tuple[tuple[float, float] | None, float | None]:
     """Return range and baseline of a device [mm]; None: not stated, the scene must have it."""
-    own = device.figures
+    figures = device.figures
     if not device.follows_standoff:
-        return own.range_mm, own.baseline_mm
+        return figures.range_mm, figures.baseline_mm
     standoffs = scene.plan.standoffs_mm or (sum(sensors.load(default).figures.range_mm or ()) / 2,)
-    near, far = own.range_shares or (0.0, 0.0)
-    return (near * min(standoffs), far * max(standoffs)), (own.baseline_share or 0.0) * standoffs[0]
+    near, far = figures.range_shares or (0.0, 0.0)
+    return (near * min(standoffs), far * max(standoffs)), (figures.baseline_share or 0.0) * standoffs[0]
 
 
 def _plugin_values(scene: Scene) -> Values:

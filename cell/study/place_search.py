@@ -198,13 +198,13 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
     default = place_of(scene)
-    some = [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
+    planned_places = [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
     if is_within(default, list(zip(*where.ends, strict=True))):
-        some.append(default)
+        planned_places.append(default)
         if default not in [tuple(row[axis] for axis in AXES) for row in ten]:
-            (own,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
-            ten.append(placement_row(default, (b, c), own))
-    ten = _planned_first(ten, compute_plans(some), default)
+            (views_and_time,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
+            ten.append(placement_row(default, (b, c), views_and_time))
+    ten = _planned_first(ten, compute_plans(planned_places), default)
     lost_mm, unreached_mm = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
     shares = [each.coverable for each in coarse]
     return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, places, len(evaluated))

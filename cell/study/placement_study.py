@@ -183,10 +183,10 @@ def placement_study(
 
     def finalists(outcomes: Sequence[Outcome]) -> list[Trial]:
         found = estimates(outcomes)
-        some = [
+        best_places = [
             place for place in sorted(found, key=lambda place: _estimated_rank(found[place])) if found[place]["views"]
         ]
-        return list(finalist_trials(scene, [*some[:N_PLANNED], *([default] if is_in_grid else [])]).values())
+        return list(finalist_trials(scene, [*best_places[:N_PLANNED], *([default] if is_in_grid else [])]).values())
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}

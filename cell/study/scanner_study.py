@@ -82,8 +82,8 @@ def scanner_study(scene_with: SceneWith, parameter: str, values: Sequence[Settin
         SceneError: if the scene cannot have one of the values.
     """
     title, tables = PARAMETERS[parameter]
-    own = scene_with({}).scanner
-    follows = parameter == "standoff" and own.sensor is None and own.type == sensors.load(_FOLLOWING).type
+    default = scene_with({}).scanner
+    follows = parameter == "standoff" and default.sensor is None and default.type == sensors.load(_FOLLOWING).type
     scanner: Tables = {"scanner": {"sensor": _FOLLOWING}} if follows else {}
     keys = {
         f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value: {**scanner, **tables(value)}

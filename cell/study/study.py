@@ -119,11 +119,13 @@ def scene_maker(
     Raises:
         UsageError: as `cell plan` for its options.
     """
-    own = option_tables(options, part, spell)
+    base_tables = option_tables(options, part, spell)
 
     def scene_with(changes: Mapping[str, Mapping[str, object]]) -> Scene:
-        tables = {table: {**own.get(table, {}), **changes.get(table, {})} for table in {**own, **changes}}
-        return load_scene(scene, tables, option_names(own, spell))
+        tables = {
+            table: {**base_tables.get(table, {}), **changes.get(table, {})} for table in {**base_tables, **changes}
+        }
+        return load_scene(scene, tables, option_names(base_tables, spell))
 
     return scene_with
 

@@ -139,8 +139,8 @@ def draw_numbered(
 def split_vertices(mesh: TriangleMesh, item_of_triangle: NDArray[np.integer]) -> tuple[TriangleMesh, Ints]:
     """Return the surface with separate vertices for each item, and the item of each vertex."""
     corners = np.stack([np.repeat(item_of_triangle, 3).astype(np.int64), mesh.faces.ravel()], axis=1)
-    own, place = np.unique(corners, axis=0, return_inverse=True)
-    return TriangleMesh(mesh.vertices[own[:, 1]], place.reshape(-1, 3).astype(np.int32)), own[:, 0]
+    pairs, place = np.unique(corners, axis=0, return_inverse=True)
+    return TriangleMesh(mesh.vertices[pairs[:, 1]], place.reshape(-1, 3).astype(np.int32)), pairs[:, 0]
 
 
 def _kind_layer(cad: CadModel, mesh: TriangleMesh, face_of_vertex: Ints) -> Layer:

@@ -202,13 +202,13 @@ def plan_contents(
     page_views = [
         PageView(str(number), _pose_at_part(view, T_base_object), at.get(view.id), [
             ("view", f"{number}, candidate {view.id}"),
-            ("marginal coverage", f"{_format_percent(own.marginal_coverage)} of the surface"),
+            ("marginal coverage", f"{_format_percent(entry.marginal_coverage)} of the surface"),
             ("A1 to A6", f"{', '.join(f'{angle:g}' for angle in view.q_deg)} deg"),
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
-            ("clearance", _format_mm(own.segment_clearance_mm) + " on the path to it"),
+            ("clearance", _format_mm(entry.segment_clearance_mm) + " on the path to it"),
         ], _commands(number, view.T_base_scanner, report))
-        for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
+        for number, (view, entry) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
     rows = [
@@ -297,7 +297,7 @@ def _characteristics(folder: Path) -> list[Mapping[str, object]]:
         elements.setdefault(element["feature"], []).append(element)
     found = list[Mapping[str, object]]()
     for each in results["characteristics"]:
-        own, unit = elements[each["feature"]], each["unit"]
+        feature_elements, unit = elements[each["feature"]], each["unit"]
         rows = [("verdict", each["verdict"] + (f": {each['cause']}" if each["cause"] else ""))]
         if each["value"] is not None:
             rows.append(("value", f"{each['value']:.4f} ± {each['expanded_uncertainty']:.4f} {unit}"))
@@ -305,13 +305,14 @@ def _characteristics(folder: Path) -> list[Mapping[str, object]]:
         limits = [f"{limit:.6g}" for limit in (each["lower"], each["upper"]) if limit is not None]
         rows.append(("limits", f"{' to '.join(limits)} {unit}" if limits else "none"))
         rows += [
-            ("points", f"{e['n_points']:,} on {e['share']:.0%} of {e['kind']}, sd {e['sd_mm']:.4f} mm") for e in own
+            ("points", f"{e['n_points']:,} on {e['share']:.0%} of {e['kind']}, sd {e['sd_mm']:.4f} mm")
+            for e in feature_elements
         ]
         means = points.get(each["feature"], [])
         if means:
             off = [row[3] for row in means]
             rows.append(("shown", f"{len(means)} means, {min(off):+.4f} (blue) to {max(off):+.4f} mm (red)"))
-        place = own[0]["point_mm"]
+        place = feature_elements[0]["point_mm"]
         found.append({
             "name": f"{each['name']} ({each['kind']})", "colour": VERDICTS[each["verdict"]], "rows": rows,
             "place": None if place is None else [value / 1000 for value in place], "points": means,

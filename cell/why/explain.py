@@ -153,8 +153,8 @@ def group_samples(
     for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
         members.setdefault(key, []).append(i)
     grouped = []
-    for (reason, thing), own in members.items():
-        inside = rows[np.array(own)]
+    for (reason, thing), positions in members.items():
+        inside = rows[np.array(positions)]
         pieces = _patches(inside, samples, planning)
         details = (
             _detail(Reason(reason), diagnosis, np.isin(rows, inside), keys),
@@ -254,12 +254,12 @@ class _Trial:
 
     def best(self, rows: Ints, reason: Reason, most: int) -> list[int]:
         """Return the best changes for some samples. Only unselected samples need a further view."""
-        own = self.place[rows]
-        own = own[own >= 0]
-        if not len(own):
+        columns = self.place[rows]
+        columns = columns[columns >= 0]
+        if not len(columns):
             return []
         apt = [(change.kind is ChangeKind.VIEW) == (reason is Reason.NOT_SELECTED) for change in self.changes]
-        return self.choose(self.gains[:, own].mean(axis=1) * apt, most)
+        return self.choose(self.gains[:, columns].mean(axis=1) * apt, most)
 
     def choose(self, share: Floats, most: int) -> list[int]:
         kinds, sizes = [change.kind for change in self.changes], [change.change for change in self.changes]
@@ -295,7 +295,9 @@ def search_changes(
     verify = [(index, rest) for index in overall]
     for group, indices, patches in zip(groups, of_group, of_patch, strict=True):
         verify += [(index, group.rows) for index in indices]
-        verify += [(index, patch.rows) for own, patch in zip(patches, group.patches, strict=True) for index in own]
+        verify += [
+            (index, patch.rows) for indices, patch in zip(patches, group.patches, strict=True) for index in indices
+        ]
     verified = _verify(trial, verify, targets, progress)
 
     def helping(indices: Sequence[int], rows: Ints) -> tuple[EvaluatedChange, ...]:
@@ -307,8 +309,8 @@ def search_changes(
                 group,
                 changes=helping(indices, group.rows),
                 patches=tuple(
-                    replace(patch, change=next(iter(helping(own, patch.rows)), None))
-                    for patch, own in zip(group.patches, patches, strict=True)
+                    replace(patch, change=next(iter(helping(indices, patch.rows)), None))
+                    for patch, indices in zip(group.patches, patches, strict=True)
                 ),
             )
             for group, indices, patches in zip(groups, of_group, of_patch, strict=True)
@@ -374,9 +376,9 @@ def _weights(place: Ints, groups: Sequence[Group], samples: SurfaceSamples) -> F
     weight = np.zeros(int(place.max()) + 1)
     total = sum(float(samples.areas[group.rows].sum()) for group in groups)
     for group in groups:
-        own = place[group.rows]
-        own = own[own >= 0]
-        weight[own] = float(samples.areas[group.rows].sum()) / total / len(own)
+        columns = place[group.rows]
+        columns = columns[columns >= 0]
+        weight[columns] = float(samples.areas[group.rows].sum()) / total / len(columns)
     return weight
 
 

@@ -398,11 +398,11 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
 def _arm_near_cell(world: World) -> list[str]:
     """Check the robot at home with itself, the pedestal and the floor, with the clearance."""
     data, geoms = world.data(), _geoms(world)
-    own = {*robot_bodies(world), "pedestal", "floor"}
+    robot_pieces = {*robot_bodies(world), "pedestal", "floor"}
     checked = {tuple(sorted((world.entities[a], world.entities[b]))) for a, b in world.pairs}
     problems = []
     for one, other in sorted(checked):
-        distance = _distance(world, data, geoms, one, other) if {one, other} <= own else np.inf
+        distance = _distance(world, data, geoms, one, other) if {one, other} <= robot_pieces else np.inf
         if distance < world.clearance - 1e-9:
             name = world.pair_name(geoms[one][0], geoms[other][0])
             partner = "the cell" if {one, other} & {"pedestal", "floor"} else "itself"

@@ -162,13 +162,13 @@ class EmbreeRayCaster:
         hit = np.flatnonzero(face >= 0)
         if len(hit) < len(face):
             face, rough, origins, directions = face[hit], rough[hit], origins[hit], directions[hit]
-        own = rough.astype(np.float64)
+        rough_distance = rough.astype(np.float64)
         normal = np.take(self._normals, face, axis=0)
         above = np.take(self._offsets, face) - np.einsum("ij,ij->i", origins - self._middle, normal)
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = above / np.einsum("ij,ij->i", directions, normal)
-        sure = np.abs(exact - own) <= _MAX_CORRECTION * (own + self._half_diagonal)
-        distance[hit] = np.where(sure, exact, own)
+        sure = np.abs(exact - rough_distance) <= _MAX_CORRECTION * (rough_distance + self._half_diagonal)
+        distance[hit] = np.where(sure, exact, rough_distance)
         return distance
 
     def _to_float32(self, points: Floats) -> NDArray[np.float32]:

@@ -425,8 +425,8 @@ def motion_refinement(model: mujoco.MjModel, clearance: float, reduced: Mapping[
     clearance, one with two moving bodies by less than the clearance: neither may exceed the pair's own clearance.
     """
     factor = 1.0
-    for pair, own in reduced.items():
+    for pair, pair_clearance in reduced.items():
         both_move = (model.body_weldid[model.geom_bodyid[list(pair)]] > 0).all()
-        if own > 0:  # links that always touch are never free
-            factor = max(factor, clearance * (1.0 if both_move else 0.5) / own)
+        if pair_clearance > 0:  # links that always touch are never free
+            factor = max(factor, clearance * (1.0 if both_move else 0.5) / pair_clearance)
     return factor

@@ -181,7 +181,7 @@ def coverage_with_arm(
     `visible` (S,) are the samples that they measure without their arm; no others are tested.
     """
     covered = find_measured(
-        T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms, among=visible
+        T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own_occluders=arms, among=visible
     )
     areas = prediction.samples.areas
     return float(areas[covered].sum() / areas.sum())

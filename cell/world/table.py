@@ -219,12 +219,12 @@ def _pairs_in_reach(
         # The middle moves on a circle about the axis: over all angles the geom stays within a ball about its centre.
         x, y, z = table.to_table_frame(data.geom_xpos[turned])
         middle, axis = table.T_base_table @ [0.0, 0.0, z, 1.0], table.T_base_table[:3, 2]
-        circle, own = float(np.hypot(x, y)), model.geom_rbound[turned] + clearance
+        circle, pair_reach = float(np.hypot(x, y)), model.geom_rbound[turned] + clearance
         offset = data.geom_xpos[stationary] - middle[:3]
         if stationary == model.geom("floor").id:
-            near = -offset[2] - circle * np.hypot(*axis[:2]) < own
+            near = -offset[2] - circle * np.hypot(*axis[:2]) < pair_reach
         else:
-            near = np.linalg.norm(offset) < circle + own + model.geom_rbound[stationary]
+            near = np.linalg.norm(offset) < circle + pair_reach + model.geom_rbound[stationary]
         if near:
             found.append((int(a), int(b)))
     return found

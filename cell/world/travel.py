@@ -130,8 +130,8 @@ class TravelBound:
             moved[:, i:] += steps[:, i, None] * bound
         longest: Floats = moved.max(axis=1)
         for link, turns in self._turning:
-            own = sum(radius * steps[:, axis] for axis, radius in turns)
-            longest = np.maximum(longest, own if link is None else moved[:, link] + own)
+            joint_travel = sum(radius * steps[:, axis] for axis, radius in turns)
+            longest = np.maximum(longest, joint_travel if link is None else moved[:, link] + joint_travel)
         return longest
 
     def _radii_about_axes(self, q: Floats) -> Floats:

@@ -390,27 +390,27 @@ class _GroupCovers:
             group_cost: of each group; None: groups are free.
             bound_only: whether only the bound is of use: by branch and bound, and without overlap.
         """
-        problem, loads, some = self._problem, self._loads, np.flatnonzero(columns)
-        matrix = problem.matrix[:, some]
+        problem, loads, numbers = self._problem, self._loads, np.flatnonzero(columns)
+        matrix = problem.matrix[:, numbers]
         is_satisfied = loads.satisfied(np.asarray(matrix.sum(axis=1, dtype=np.int64)).ravel())
         reach = loads.weight_of(is_satisfied)
         shares = np.minimum(np.divide(loads.target_weight, reach, out=np.ones_like(reach), where=reach > 0), 1.0)
         part = replace(
             problem, matrix=matrix[is_satisfied], areas=np.asarray(problem.areas)[is_satisfied], allowed=None,
             demand=loads.demand[is_satisfied], coverage=float(shares[0]),
-            costs=None if problem.costs is None else self._costs[some],
-            pinned=np.searchsorted(some, list(problem.pinned)).tolist(),
+            costs=None if problem.costs is None else self._costs[numbers],
+            pinned=np.searchsorted(numbers, list(problem.pinned)).tolist(),
             weights=None if problem.weights is None else loads.weights[is_satisfied],
             region=None if problem.region is None else loads.region[is_satisfied],
             region_coverage=() if problem.region is None else tuple(shares.tolist()),
             overlap=None if bound_only else problem.overlap,
-            group=None if group_cost is None else self._group[some],
+            group=None if group_cost is None else self._group[numbers],
             group_costs=None if group_cost is None else np.full(loads.n_groups, group_cost),
         )  # fmt: skip
-        begin = np.searchsorted(some, start) if start is not None and len(start) and columns[start].all() else None
+        begin = np.searchsorted(numbers, start) if start is not None and len(start) and columns[start].all() else None
         solver, budget = ("exact", self._bound_budget) if bound_only else (self._solver, self._budget)
         found = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
-        return replace(found, views=some[found.views])
+        return replace(found, views=numbers[found.views])
 
     def _solve_choice(self, groups: tuple[int, ...], share: float, start: Ints) -> Cover:
         return self.solve(self._columns_of(groups), share, start=start)

@@ -403,10 +403,10 @@ def _merge_rows(instance: CoverInstance) -> CoverInstance:
     # Equal hashes do not prove equal sets: compare the members.
     ends = np.cumsum(lengths[previous[pairs]])
     for block in slice_blocks(ends - lengths[previous[pairs]]):
-        some = pairs[block]
-        first, count = gather_slices(start, members, previous[some])
-        second, _ = gather_slices(start, members, current[some])
-        equal[some] = np.logical_and.reduceat(first == second, np.cumsum(count) - count)
+        chunk = pairs[block]
+        first, count = gather_slices(start, members, previous[chunk])
+        second, _ = gather_slices(start, members, current[chunk])
+        equal[chunk] = np.logical_and.reduceat(first == second, np.cumsum(count) - count)
     group = np.concatenate(([0], np.cumsum(~equal)))
     leader = order[np.concatenate(([True], ~equal))]
     summed = np.zeros(instance.n_rows, dtype=np.int64)

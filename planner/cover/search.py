@@ -169,8 +169,8 @@ def order_by_marginal_area(instance: CoverInstance, columns: Ints) -> tuple[Ints
     rows = {j: instance.rows_of(j) for j in columns.tolist()}
 
     def gain(column: int) -> int:
-        own = rows[column]
-        return int(instance.units[own[deficit[own] > 0]].sum())
+        column_rows = rows[column]
+        return int(instance.units[column_rows[deficit[column_rows] > 0]].sum())
 
     # Gains only fall, so an up-to-date gain at the top of the heap is the largest; canonical order decides ties.
     heap = [(-gain(column), column) for column in rows]
@@ -183,11 +183,11 @@ def order_by_marginal_area(instance: CoverInstance, columns: Ints) -> tuple[Ints
             heapq.heapreplace(heap, (now, best))
             continue
         heapq.heappop(heap)
-        own = rows[best]
-        was_open = deficit[own] > 0
-        deficit[own] -= instance.load_of(best)
+        column_rows = rows[best]
+        was_open = deficit[column_rows] > 0
+        deficit[column_rows] -= instance.load_of(best)
         order.append(best)
-        added.append(own[was_open & (deficit[own] <= 0)])
+        added.append(column_rows[was_open & (deficit[column_rows] <= 0)])
     return np.array(order, dtype=np.int64), added
 
 

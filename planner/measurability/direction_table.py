@@ -104,12 +104,12 @@ class DirectionTable(Value):
         nodes = _pack(_cast(lifted, frames, (part,), far)[:, None])[:, 0]
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
         free = _cast(lifted, frames, occluders, float(lengths[-1]))
-        some = np.flatnonzero((free == 0).any(axis=(1, 2)))
-        by_range = [free[some]]
+        partly_free = np.flatnonzero((free == 0).any(axis=(1, 2)))
+        by_range = [free[partly_free]]
         for length in reversed(lengths[:-1]):  # a direction that is free at one length is free at shorter ones
-            by_range.append(_cast(lifted[some], frames[some], occluders, float(length), by_range[-1]))
+            by_range.append(_cast(lifted[partly_free], frames[partly_free], occluders, float(length), by_range[-1]))
         row_of = np.full(len(targets), -1)
-        row_of[some] = np.arange(len(some))
+        row_of[partly_free] = np.arange(len(partly_free))
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
@@ -125,8 +125,10 @@ class DirectionTable(Value):
         """Return the table of some of the samples."""
         targets = self.targets
         region = None if targets.region is None else targets.region[rows]
-        some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
-        return replace(self, targets=some, frames=self.frames[rows], nodes=self.nodes[rows], near=self.near[rows])
+        ray_targets = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
+        return replace(
+            self, targets=ray_targets, frames=self.frames[rows], nodes=self.nodes[rows], near=self.near[rows]
+        )
 
     def without(self, rows: Bools) -> "DirectionTable":
         """Return the table with (S,) selected samples occluded in all directions."""
@@ -148,8 +150,8 @@ class DirectionTable(Value):
         sums = np.empty((n, P))
         if self.limits is None:
             for k, T in enumerate(T_object_scanner):
-                own = rows[starts[k] : starts[k + 1]]
-                sums[k] = self.measured(T, own) @ weights[own]
+                row_block = rows[starts[k] : starts[k + 1]]
+                sums[k] = self.measured(T, row_block) @ weights[row_block]
             return sums
         poses = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1)
         sum_weights(
@@ -172,8 +174,8 @@ class DirectionTable(Value):
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
             for first in range(0, len(poses), together):
-                some = slice(first, first + together)
-                found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
+                block = slice(first, first + together)
+                found[block] = in_view_matrix(self.targets, T_object_scanner[block], self.scanner, rows)
             found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
             found[:, ~self.nodes[rows].any(axis=1)] = 0
         self._decide_edges(T_object_scanner, rows, found)
@@ -193,9 +195,9 @@ class DirectionTable(Value):
             (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
         ):  # fmt: skip
             for caster in casters:
-                some = np.flatnonzero(mark & bit)
-                is_blocked = caster.blocked(self.targets.lifted[rows[column[some]]], ends[pose[some]])
-                mark[some[is_blocked]] = 0
+                rays = np.flatnonzero(mark & bit)
+                is_blocked = caster.blocked(self.targets.lifted[rows[column[rays]]], ends[pose[rays]])
+                mark[rays[is_blocked]] = 0
         found[pose, column] = mark
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
@@ -235,9 +237,9 @@ def _pack(free: Bytes) -> Bytes:
     packed = np.empty((M, R, (N_NODES * N_NODES + 3) // 4), dtype=np.uint8)
     states = np.zeros((_PACKED, R, 4 * packed.shape[2]), dtype=np.uint8)
     for first in range(0, M, _PACKED):
-        some = free[first : first + _PACKED]
-        n = len(some)
-        states[:n, :, : N_NODES * N_NODES] = (_FREE * some + _EDGE * _edges(some)).reshape(n, R, N_NODES * N_NODES)
+        block = free[first : first + _PACKED]
+        n = len(block)
+        states[:n, :, : N_NODES * N_NODES] = (_FREE * block + _EDGE * _edges(block)).reshape(n, R, N_NODES * N_NODES)
         quarters = [states[:n, :, k::4] << 2 * k for k in range(4)]
         packed[first : first + n] = quarters[0] | quarters[1] | quarters[2] | quarters[3]
     return packed
@@ -277,12 +279,12 @@ def _cast(
     free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
     for first in range(0, len(lifted), _TOGETHER):
         raise_interrupt()
-        some = slice(first, first + _TOGETHER)
-        origins, local, part = lifted[some], frames[some], free[some]
+        block = slice(first, first + _TOGETHER)
+        origins, local, part = lifted[block], frames[block], free[block]
         step = _COARSEST
         while True:
             if known is not None:
-                part[(part == _TO_CAST) & (known[some] == 1)] = 1
+                part[(part == _TO_CAST) & (known[block] == 1)] = 1
             is_cast = part[:, ::step, ::step] == _TO_CAST
             sample, i, j = np.unravel_index(np.flatnonzero(is_cast), is_cast.shape)
             node = step * (i * N_NODES + j)

@@ -154,9 +154,9 @@ def probability_layer(
     K = viewpoints.T_object_scanner.shape[1]
 
     def rows_of(pose: int) -> Ints:
-        own = rows[start[pose // K] : start[pose // K + 1]]
-        is_evaluated = len(own) and (columns is None or columns[pose // K])
-        return in_view(targets, poses[pose], scanner, own) if is_evaluated else own[:0]
+        view_rows = rows[start[pose // K] : start[pose // K + 1]]
+        is_evaluated = len(view_rows) and (columns is None or columns[pose // K])
+        return in_view(targets, poses[pose], scanner, view_rows) if is_evaluated else view_rows[:0]
 
     for member, error in enumerate(errors, start=1):
         poses = flatten_poses(viewpoints.T_object_scanner @ error)

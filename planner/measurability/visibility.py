@@ -129,7 +129,7 @@ def find_measured(
     casters: Sequence[RayCaster],
     *,
     each: bool = False,
-    own: Sequence[RayCaster | None] | None = None,
+    own_occluders: Sequence[RayCaster | None] | None = None,
     among: Bools | None = None,
     progress: Progress | None = None,
 ) -> Bools:
@@ -141,7 +141,8 @@ def find_measured(
         scanner: sensor model.
         casters: of the part and of occluders.
         each: evaluate each view; otherwise all views together, and a sample only until a view measures it.
-        own: for each view the caster of an occluder of this view alone (the arm in its configuration), or None.
+        own_occluders: for each view the caster of an occluder of this view alone (the arm in its configuration); or
+            None.
         among: (S,) without `each`: samples to test; the others count as not measured. None: all.
         progress: called with (poses done, poses in all) after each bundle.
 
@@ -159,8 +160,8 @@ def find_measured(
 
     for n_done, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
         free = np.ones(len(row), dtype=np.bool_)
-        for view in np.unique(pose // K) if own is not None else ():
-            if own is not None and (caster := own[view]) is not None:
+        for view in np.unique(pose // K) if own_occluders is not None else ():
+            if own_occluders is not None and (caster := own_occluders[view]) is not None:
                 here = np.flatnonzero(pose // K == view)
                 free[here] = lines_of_sight_free(targets, poses, pose[here], row[here], scanner, (caster,))
         result[row[free], pose[free] // K if each else 0] = True

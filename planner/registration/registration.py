@@ -143,8 +143,8 @@ class JointProblem:
             for i, points in zip(self._to_model, clouds, strict=True):
                 part = slice(start, start + len(points))
                 start += len(points)
-                own, foot, distance = self.scans[i].normals, closest.point[part], closest.distance[part]
-                found.append(self._weigh(i, -1, points, foot, smooth[part], own, distance, np.inf))
+                scan_normals, foot, distance = self.scans[i].normals, closest.point[part], closest.distance[part]
+                found.append(self._weigh(i, -1, points, foot, smooth[part], scan_normals, distance, np.inf))
         for i, j in self.pairs:
             every = slice(None, None, self._stride[i])
             points = self.scans[i].points[every]
@@ -165,22 +165,22 @@ class JointProblem:
         weight, used = np.zeros(count), np.zeros(count, dtype=np.int64)
         centres = [scan.centre for scan in self.scans]
         for m in matches:
-            own, other = slice(6 * m.scan, 6 * m.scan + 6), slice(6 * m.partner, 6 * m.partner + 6)
+            block, partner_block = slice(6 * m.scan, 6 * m.scan + 6), slice(6 * m.partner, 6 * m.partner + 6)
             j_own = np.hstack([m.normals, np.cross(m.points - centres[m.scan], m.normals)])
             weighted = m.weight[:, None] * j_own
-            matrix[own, own] += weighted.T @ j_own
-            gradient[own] += weighted.T @ m.residual
+            matrix[block, block] += weighted.T @ j_own
+            gradient[block] += weighted.T @ m.residual
             weight[m.scan] += m.weight.sum()
             used[m.scan] += (m.weight > 0).sum()
             if m.partner >= 0:
                 # Both levers end at the same point, so that a motion of all scans together costs exactly nothing.
                 j_other = -np.hstack([m.normals, np.cross(m.points - centres[m.partner], m.normals)])
                 cross = weighted.T @ j_other
-                matrix[own, other] += cross
-                matrix[other, own] += cross.T
+                matrix[block, partner_block] += cross
+                matrix[partner_block, block] += cross.T
                 weighted = m.weight[:, None] * j_other
-                matrix[other, other] += weighted.T @ j_other
-                gradient[other] += weighted.T @ m.residual
+                matrix[partner_block, partner_block] += weighted.T @ j_other
+                gradient[partner_block] += weighted.T @ m.residual
                 weight[m.partner] += m.weight.sum()
                 used[m.partner] += (m.weight > 0).sum()
         return matrix, gradient, weight, used
@@ -194,8 +194,8 @@ class JointProblem:
         matrix, gradient, weight, used = self.normal_equations(self.match())
         bases = []
         for i, scan in enumerate(self.scans):
-            own = slice(6 * i, 6 * i + 6)
-            seen, _ = split_directions(matrix[own, own], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
+            block = slice(6 * i, 6 * i + 6)
+            seen, _ = split_directions(matrix[block, block], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
             per_length = np.array([1.0, 1.0, 1.0, *([1 / scan.length] * 3)]) if seen.shape[1] else np.ones(6)
             bases.append(per_length[:, None] * seen / np.sqrt(weight[i] or 1.0))
         edges = np.cumsum([0, *(basis.shape[1] for basis in bases)])
@@ -444,8 +444,8 @@ def register(
     matrix, _, weight, used = problem.normal_equations(after)
     results, squares = [], []
     for i, scan in enumerate(moving):
-        own = slice(6 * i, 6 * i + 6)
-        _, free = split_directions(matrix[own, own], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
+        block = slice(6 * i, 6 * i + 6)
+        _, free = split_directions(matrix[block, block], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
         pair = _residuals(i, before, after, nearest is not None)
         result = _judge(scan, pair, free, used[i] >= MIN_MATCHES, bool(moved[i] < _STILL), reach)
         results.append(result)

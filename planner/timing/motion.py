@@ -142,8 +142,8 @@ def retime(
         if on_line[k + 1] < 0:
             found = _sample_move(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
         elif k in lines:
-            own = slice(k, k + len(lines[k].times))
-            found = _sample_line(lines[k], vias[own], via_t[own], sample_period)
+            line_rows = slice(k, k + len(lines[k].times))
+            found = _sample_line(lines[k], vias[line_rows], via_t[line_rows], sample_period)
         else:
             continue  # sampled with the first piece of the line
         times, q, qd, qdd = found

@@ -177,11 +177,14 @@ class _Tours:
 
     def _shortest(self, groups: Sequence[Ints], order: Ints, near: _Tour | None) -> _Tour:
         found = [[self.configurations(int(view)) for view in group] for group in groups]
-        owners = [np.repeat(group, [len(q) for q in own]) for group, own in zip(groups, found, strict=True)]
-        joints = [np.concatenate(own) for own in found]
+        owners = [
+            np.repeat(group, [len(q) for q in view_configurations])
+            for group, view_configurations in zip(groups, found, strict=True)
+        ]
+        joints = [np.concatenate(view_configurations) for view_configurations in found]
         if near is not None and too_many_nodes(joints):
             best_nodes = [best_nodes_on_tour(self._detours(near, k, q), len(groups)) for k, q in enumerate(joints)]
-            owners = [own[rows] for own, rows in zip(owners, best_nodes, strict=True)]
+            owners = [group_owners[rows] for group_owners, rows in zip(owners, best_nodes, strict=True)]
             joints = [q[rows] for q, rows in zip(joints, best_nodes, strict=True)]
         nodes, first = np.concatenate([self.home[None], *joints]), np.concatenate(([0], node_offsets(joints)))
         problem = gtsp.make_instance(move_time(nodes[:, None], nodes, self.limits), first)
@@ -224,8 +227,8 @@ def _exchange_once(
     owned: list[Ints] = [_NONE] * len(views)  # samples that must not be lost any more
     while tours.count < _MAX_ORDERINGS:
         members = [
-            _alternatives(index, int(view), rows, own, pinned, slack)
-            for view, rows, own in zip(views, needed, owned, strict=True)
+            _alternatives(index, int(view), rows, owned_samples, pinned, slack)
+            for view, rows, owned_samples in zip(views, needed, owned, strict=True)
         ]
         found = tours.along(best, members)
         counts = index.counts(found.picks.tolist())

@@ -266,11 +266,15 @@ class TourSearch:
         times, leave = self.roadmap.times, self.roadmap.leave
         place = {self.view_of(node): k for k, node in enumerate(tour)}
         nearest_nodes = []
-        for view, own in zip(self.views, nodes, strict=True):
+        for view, view_nodes in zip(self.views, nodes, strict=True):
             if (k := place.get(view)) is not None:
-                detours = times[leave[tour[k - 1]], own] + self.stays[own] + times[leave[own], tour[k + 1]]
-                own = own[best_nodes_on_tour(detours, len(nodes))]
-            nearest_nodes.append(own)
+                detours = (
+                    times[leave[tour[k - 1]], view_nodes]
+                    + self.stays[view_nodes]
+                    + times[leave[view_nodes], tour[k + 1]]
+                )
+                view_nodes = view_nodes[best_nodes_on_tour(detours, len(nodes))]
+            nearest_nodes.append(view_nodes)
         return nearest_nodes
 
     def drop_unconnected(self) -> None:

@@ -81,12 +81,12 @@ def _first_reachable(aimed: AimedPoses, evaluator: ViewEvaluator) -> AimedPoses:
     order = np.argsort(aimed.row, kind="stable")
     rows = []
     while len(order):
-        own, first = np.unique(aimed.row[order], return_index=True)
+        points, first = np.unique(aimed.row[order], return_index=True)
         tested = order[first]
         reachable = evaluator.are_reachable(evaluator.views(aimed.pick(tested))[:, None] @ evaluator.T_view_scanner)
         rows.append(tested[reachable])
         order = np.delete(order, first)
-        order = order[~np.isin(aimed.row[order], own[reachable])]
+        order = order[~np.isin(aimed.row[order], points[reachable])]
     which = np.concatenate([*rows, np.empty(0, dtype=np.int64)])
     return aimed.pick(which[np.argsort(aimed.row[which])])
 

@@ -109,13 +109,13 @@ class ViewEvaluator:
         found = np.zeros((len(rows), len(views)), dtype=np.bool_)
         together = max(1, _PAIRS // max(len(rows), 1)) * K
         for first in range(0, len(poses), together):
-            some = poses[first : first + together]
-            visible = in_view_matrix(targets, some, self.scanner, rows)
+            block = poses[first : first + together]
+            visible = in_view_matrix(targets, block, self.scanner, rows)
             if threshold is not None:
                 bound = (visible @ threshold[0]).reshape(-1, K).sum(axis=1)
                 visible[np.repeat(bound <= threshold[1], K)] = False
             pose, row = np.nonzero(visible)
-            free = lines_of_sight_free(targets, some, pose, rows[row], self.scanner, self.casters)
+            free = lines_of_sight_free(targets, block, pose, rows[row], self.scanner, self.casters)
             found[row[free], (first + pose[free]) // K] = True
         return found
 
@@ -190,8 +190,10 @@ class _Growth:
     def _add(self, aimed: AimedPoses) -> None:
         """Add the few poses that measure the largest part of the scouts with too few views."""
         order = np.argsort(aimed.row, kind="stable")
-        own = aimed.row[order]
-        aimed = aimed.pick(np.sort(order[np.arange(len(own)) - np.searchsorted(own, own) < _COMPARED]))
+        rows_in_order = aimed.row[order]
+        aimed = aimed.pick(
+            np.sort(order[np.arange(len(rows_in_order)) - np.searchsorted(rows_in_order, rows_in_order) < _COMPARED])
+        )
         if not len(aimed):
             return
         rows = np.flatnonzero(self.count < self.multiplicity)

@@ -256,19 +256,19 @@ class _Search:
         """Return (n, S) whether each pose measures each sample."""
         found = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
         for place in np.unique(poses.place):
-            own = np.flatnonzero(poses.place == place)
-            found[own] = self.places[place].evaluator.measured(poses.T_object_scanner[own])
+            indices = np.flatnonzero(poses.place == place)
+            found[indices] = self.places[place].evaluator.measured(poses.T_object_scanner[indices])
         return found
 
     def _sums(self, T: Floats, rows: Ints, starts: Ints, least: Floats) -> Floats:
         """Return (n, P) approximate weights of the open rows that proposals (n, P, 4, 4) of the views measure."""
         sums = np.empty(T.shape[:2])
         for place in np.unique(self.views.place):
-            own = np.flatnonzero(self.views.place == place)
-            rows_of = np.concatenate([rows[starts[view] : starts[view + 1]] for view in own])
-            starts_of = np.concatenate([[0], np.cumsum(np.diff(starts)[own])])
+            indices = np.flatnonzero(self.views.place == place)
+            rows_of = np.concatenate([rows[starts[view] : starts[view + 1]] for view in indices])
+            starts_of = np.concatenate([[0], np.cumsum(np.diff(starts)[indices])])
             evaluator = self.places[place].evaluator
-            sums[own] = evaluator.weights_measured(T[own], rows_of, starts_of, self.weights, least[own])
+            sums[indices] = evaluator.weights_measured(T[indices], rows_of, starts_of, self.weights, least[indices])
         return sums
 
     def _report(self, n_views: int) -> None:
@@ -308,17 +308,17 @@ class _Search:
         tested = replace(self.views.pick(view), T_object_scanner=T[view, best[view, rank]])
         is_reachable = np.zeros(len(tested), dtype=np.bool_)
         for place in np.unique(tested.place):
-            own = tested.place == place
-            is_reachable[own] = self.places[place].are_reachable(tested.T_object_scanner[own])
+            is_here = tested.place == place
+            is_reachable[is_here] = self.places[place].are_reachable(tested.T_object_scanner[is_here])
         left = np.flatnonzero(is_reachable)
         while len(left):
-            own, first = np.unique(view[left], return_index=True)
-            some = tested.pick(left[first])
-            is_moved = self._accepted(own, self._measured(some), accepted[own])
+            views, first = np.unique(view[left], return_index=True)
+            moves = tested.pick(left[first])
+            is_moved = self._accepted(views, self._measured(moves), accepted[views])
             for number in np.flatnonzero(is_moved):
-                self.views = self.views.with_pose(int(own[number]), some.T_object_scanner[number])
+                self.views = self.views.with_pose(int(views[number]), moves.T_object_scanner[number])
             left = np.delete(left, first)
-            left = left[~np.isin(view[left], own[is_moved])]
+            left = left[~np.isin(view[left], views[is_moved])]
         if self.rounds % _FROM_POOL == _FROM_POOL - 1:
             self._take_from_pool()
         self.evaluated += n * _PROPOSALS
@@ -328,8 +328,8 @@ class _Search:
         """Replace each view by the best candidate, if that measures more."""
         for view in range(len(self.views)):
             rows = np.flatnonzero(self.count == self.measured[view])
-            own = float(self.weights[rows[self.measured[view, rows]]].sum())
-            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, own)
+            weight = float(self.weights[rows[self.measured[view, rows]]].sum())
+            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, weight)
             if candidate >= 0:
                 here = np.array([candidate])
                 if self._accepted(np.array([view]), self.pool_measured[here], np.zeros(1))[0]:

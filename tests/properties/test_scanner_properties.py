@@ -102,11 +102,11 @@ def test_an_arm_never_adds_a_sample_and_occludes_only_its_own_view():
     own[0] = None
     T = views.T_object_scanner
     free = find_measured(T, samples, scanner, (caster,), each=True)
-    hidden = find_measured(T, samples, scanner, (caster,), each=True, own=own)
+    hidden = find_measured(T, samples, scanner, (caster,), each=True, own_occluders=own)
     assert (free | ~hidden).all()
     np.testing.assert_array_equal(free[:, 0], hidden[:, 0])
     for view in range(1, len(T)):
         alone = find_measured(T[[view]], samples, scanner, (caster, own[view]))
         np.testing.assert_array_equal(hidden[:, view], alone)
         assert hidden[:, view].sum() < free[:, view].sum()
-    np.testing.assert_array_equal(find_measured(T, samples, scanner, (caster,), own=own), hidden.any(axis=1))
+    np.testing.assert_array_equal(find_measured(T, samples, scanner, (caster,), own_occluders=own), hidden.any(axis=1))
