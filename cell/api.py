@@ -476,10 +476,10 @@ def features(
     from cell.plan.pipeline import read_request
 
     checked, _ = read_request(part, scene, keywords)
-    found = plan_inspection(checked, load(checked.part.source, checked.part.units))
-    if found is None:
+    inspection_plan = plan_inspection(checked, load(checked.part.source, checked.part.units))
+    if inspection_plan is None:
         raise UsageError("the scene has no [[feature]]; add features, or give a QIF file (docs/inspection.md)")
-    return found
+    return inspection_plan
 
 
 def inspect(

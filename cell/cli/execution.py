@@ -238,26 +238,28 @@ def locate(
     if out is None and (repair or keep_planned):
         raise UsageError("--repair and --keep-planned belong to the plan that --out makes; give --out")
     terminal = Terminal(quiet_stdout=as_json)
-    found = api.locate(run, options, progress=terminal)
+    placement = api.locate(run, options, progress=terminal)
     if not as_json:
-        terminal.print_pairs(f"Placement of the part of {run}", found.rows())
+        terminal.print_pairs(f"Placement of the part of {run}", placement.rows())
     if out is None:
         if as_json:
-            print_json(found.as_json())
+            print_json(placement.as_json())
         else:
             again = [word for word in sys.argv[1:] if word != "--json"]
-            keep = ["--keep-planned"] if found.free_motions else []
-            mend = ["--repair"] if not found.motion_check.keeps_clearance and api.open_run(run).is_repairable else []
+            keep = ["--keep-planned"] if placement.free_motions else []
+            mend = (
+                ["--repair"] if not placement.motion_check.keeps_clearance and api.open_run(run).is_repairable else []
+            )
             terminal.suggest(("cell", *again, "--out", unused_path(Path("sim_runs/there")), *keep, *mend))
         return
     if not keep_planned:
-        found.require_determined()
+        placement.require_determined()
     new_run = api.edit(
-        run, repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
+        run, repair=repair, T_base_object=placement.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
     )
     rows = [*table(new_run.report), ("digest", new_run.digest[:SHORT_DIGEST]), ("run folder", str(new_run.folder))]
     terminal.print_result(
-        {**found.as_json(), "made": new_run.as_json()}, "The plan there", rows,
+        {**placement.as_json(), "made": new_run.as_json()}, "The plan there", rows,
         ("cell", "scan", new_run.folder), ("cell", "diff", run, new_run.folder),
     )  # fmt: skip
     raise typer.Exit(new_run.exit_code)
@@ -289,16 +291,16 @@ def hand_eye(
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
-    found = api.calibrate_hand_eye(files, options, progress=terminal)
-    terminal.print_result(found.as_json(), f"Mount from {len(files)} scans of a {found.target}", found.rows())
-    if found.free_motions:
+    result = api.calibrate_hand_eye(files, options, progress=terminal)
+    terminal.print_result(result.as_json(), f"Mount from {len(files)} scans of a {result.target}", result.rows())
+    if result.free_motions:
         terminal.note(
             "these poses do not determine the mount; scan the target from poses that are rotated about other axes, "
             "with the target elsewhere in the field of view"
         )
         raise typer.Exit(_NOT_DETERMINED)
     if not as_json:
-        terminal.print(found.lines)
+        terminal.print(result.lines)
 
 
 @command(

@@ -142,8 +142,8 @@ def robot(
         packages[name] = str(Path(folder).absolute())
     terminal = Terminal(quiet_stdout=as_json)
     with terminal.stage("read the arm"):
-        found, model = report(file, base_link, flange_link, packages)
-    terminal.print_result(found.summary(), f"Robot {file.name}", found.rows())
+        robot_report, model = report(file, base_link, flange_link, packages)
+    terminal.print_result(robot_report.summary(), f"Robot {file.name}", robot_report.rows())
     if out is not None:
         from cell.view.cell_picture import draw_robot
         from cell.view.rays import save_png

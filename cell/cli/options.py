@@ -148,17 +148,17 @@ def arguments(function: Callable[..., None], option_values: Mapping[str, object]
     Raises:
         UsageError: if a text does not fit its field.
     """
-    found: dict[str, object] = {}
+    result: dict[str, object] = {}
     for parameter in inspect.signature(function).parameters.values():
         specs = _specs(parameter.annotation)
         if specs is None:
-            found[parameter.name] = option_values[parameter.name]
+            result[parameter.name] = option_values[parameter.name]
             continue
         values = {name: option_values[name] for name in specs if option_values[name] not in (None, [], ())}
         texts = {name: ",".join(value) if isinstance(value, list | tuple) else value for name, value in values.items()}
         model = parameter.annotation
-        found[parameter.name] = texts if get_origin(model) is Annotated else parse_options(model, texts, flag)
-    return found
+        result[parameter.name] = texts if get_origin(model) is Annotated else parse_options(model, texts, flag)
+    return result
 
 
 def _specs(annotation: Any) -> Mapping[str, OptionSpec] | None:

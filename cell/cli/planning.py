@@ -231,17 +231,17 @@ def _command_of(setting: str, run: "Run") -> tuple[str, ...] | None:
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
     from cell import api
 
-    visible, found = api.advise(run, progress=terminal)
+    visible, advice_list = api.advise(run, progress=terminal)
     if as_json:
-        print_json({"visible": visible, "advice": [advice.as_json() for advice in found]})
+        print_json({"visible": visible, "advice": [advice.as_json() for advice in advice_list]})
         return
     rows = [
         (str(number), advice.what, f"{100 * advice.share:.2f} % (+- {100 * advice.standard_error:.2f})")
-        for number, advice in enumerate(found, 1)
+        for number, advice in enumerate(advice_list, 1)
     ]
     title = f"This plan measures {100 * visible:.2f} % of the surface"
     terminal.print_table(("", "change", "coverage by any pose"), rows, title)
-    for number, advice in enumerate(found, 1):
+    for number, advice in enumerate(advice_list, 1):
         terminal.print(f"{number}: {advice.command}")
 
 
@@ -304,15 +304,15 @@ def _diff_clouds(terminal: "Terminal", a: Path, b: Path, units: str | None, *, a
 
     if units not in UNITS:
         raise UsageError(f"{a} and {b} do not state their unit; give --points-units with one of {', '.join(UNITS)}")
-    found = compare_clouds(a, b, units)
+    result = compare_clouds(a, b, units)
     if as_json:
-        print_json(found.as_json())
+        print_json(result.as_json())
         return
     rows = [
-        ("points", f"{found.points_a:,} in A, {found.points_b:,} in B, spacing of A {found.spacing_mm:.4g} mm"),
-        ("distance of B from A", f"{found.rms_mm:.4f} mm rms, 95 % within {found.quantile_95_mm:.4f} mm, largest "
-                                 f"{found.largest_mm:.4f} mm"),
-        ("only in one", f"{found.only_a:.2%} of A, {found.only_b:.2%} of B"),
+        ("points", f"{result.points_a:,} in A, {result.points_b:,} in B, spacing of A {result.spacing_mm:.4g} mm"),
+        ("distance of B from A", f"{result.rms_mm:.4f} mm rms, 95 % within {result.quantile_95_mm:.4f} mm, largest "
+                                 f"{result.largest_mm:.4f} mm"),
+        ("only in one", f"{result.only_a:.2%} of A, {result.only_b:.2%} of B"),
     ]  # fmt: skip
     terminal.print_table(("", ""), rows)
 

@@ -219,15 +219,17 @@ def continue_surface(scans: Sequence[ExecutedScan], space: VoxelSpace, solid: Bo
         The surface for planning; None if there are too few points.
     """
     points, apart = _thin_points(scans, _CUBE * space.edge)
-    found = reconstruct(merge(points), grid=_GRID * apart, reach=_CONTINUATION * space.edge)
-    if found.status is ReconstructionStatus.TOO_FEW_POINTS:
+    reconstruction = reconstruct(merge(points), grid=_GRID * apart, reach=_CONTINUATION * space.edge)
+    if reconstruction.status is ReconstructionStatus.TOO_FEW_POINTS:
         return None
-    parts, tree = list[TriangleMesh](), cKDTree(found.cloud.points, balanced_tree=False, compact_nodes=False)
-    if found.mesh is not None:
-        middles = found.mesh.centres
-        near = tree.query(middles, distance_upper_bound=REACH * found.spacing, workers=2)[0]
-        parts += _submesh(found.mesh, np.isfinite(near) | space.values_at(middles, space.maybe_part).astype(np.bool_))
-    lids = surface_about(space, solid & ~_ahead_of(found.cloud, tree, space, solid))
+    parts, tree = list[TriangleMesh](), cKDTree(reconstruction.cloud.points, balanced_tree=False, compact_nodes=False)
+    if reconstruction.mesh is not None:
+        middles = reconstruction.mesh.centres
+        near = tree.query(middles, distance_upper_bound=REACH * reconstruction.spacing, workers=2)[0]
+        parts += _submesh(
+            reconstruction.mesh, np.isfinite(near) | space.values_at(middles, space.maybe_part).astype(np.bool_)
+        )
+    lids = surface_about(space, solid & ~_ahead_of(reconstruction.cloud, tree, space, solid))
     parts += _submesh(lids, ~_has_similar_normal(lids, parts[0], _NEARBY * space.edge)) if parts else [lids]
     vertices, faces, _ = concatenate_meshes([(each.vertices, each.faces) for each in parts])
     return TriangleMesh(vertices, faces.astype(np.int32))
@@ -345,10 +347,10 @@ def assign_causes(
         scanner: the scanner.
         casters: ray casters of the belief and of the occluders.
     """
-    found = closest_causes(samples, candidates, reached, scanner, casters)
-    reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, MISSED, NOT_SELECTED), found)
+    closest = closest_causes(samples, candidates, reached, scanner, casters)
+    reason = np.where(closest == Reason.NOT_SELECTED, np.where(of.tries > 0, MISSED, NOT_SELECTED), closest)
     # Occlusion by other objects so close is a voxel of belief inside the support of the part.
-    reason[(of.tries > 0) & (of.distance_edges <= NEAR_MEASURED) & (found >= Reason.SOURCE_SHADED)] = REMAINDER
+    reason[(of.tries > 0) & (of.distance_edges <= NEAR_MEASURED) & (closest >= Reason.SOURCE_SHADED)] = REMAINDER
     return UncoveredReport(samples, reason, candidates)
 
 
@@ -357,5 +359,5 @@ def closest_causes(
 ) -> Ints:
     """Return (S,) the `Reason` of the candidate that comes closest to measuring each sample."""
     targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
-    found = why.diagnose(targets, rows, candidates, scanner, casters, REASON_OF_VERDICT[reached.verdict])
-    return found.reason.astype(np.int64)
+    diagnosis = why.diagnose(targets, rows, candidates, scanner, casters, REASON_OF_VERDICT[reached.verdict])
+    return diagnosis.reason.astype(np.int64)

@@ -112,10 +112,10 @@ def _plan_next(
     for batch in batches:
         work.paths.clear(len(file.batches) + 1)
         plan = _plan_on_measured if batch.on == MEASURED else _plan_on_belief
-        found = plan(work, file, known, batch)
-        if not isinstance(found, StopReason):
-            return found
-        stop = found if batch.on == BELIEVED else stop
+        outcome = plan(work, file, known, batch)
+        if not isinstance(outcome, StopReason):
+            return outcome
+        stop = outcome if batch.on == BELIEVED else stop
     return stop
 
 
@@ -126,9 +126,9 @@ def explain_remaining(work: ExplorationContext, file: ExploreFile, known: Belief
     whole = known.space.belief_voxels(unlimited=True)
     surface = belief.belief_part(belief.surface_about(known.space, whole), work.name)
     scene = _batch_scene(work, request, number, surface)
-    found = explain_uncovered(work.session, scene, surface, request, work.paths.stage(number))
+    uncovered_report = explain_uncovered(work.session, scene, surface, request, work.paths.stage(number))
     work.paths.clear(number)
-    return found
+    return uncovered_report
 
 
 def _plan_on_belief(work: ExplorationContext, file: ExploreFile, known: Belief, batch: Batch) -> Path | StopReason:
@@ -138,9 +138,9 @@ def _plan_on_belief(work: ExplorationContext, file: ExploreFile, known: Belief, 
     part = belief.belief_part(known.surface, work.name)
     request = BatchRequest(known.space, known.record, batch, least, _measured_area(file), _belief_gain_ratio(file))
     if should_keep_min_range(_min_range_history(file)):
-        found = _stage(work, replace(request, keep_min_range=True), number, part)
-        if not isinstance(found, StopReason):
-            return found
+        outcome = _stage(work, replace(request, keep_min_range=True), number, part)
+        if not isinstance(outcome, StopReason):
+            return outcome
         work.paths.clear(number)
     return _stage(work, request, number, part)
 
@@ -241,7 +241,7 @@ def _update_belief(
 ) -> Belief:
     """Return the belief after a batch."""
     before, after, expected = known.space, known.space, request.samples
-    found = np.zeros(len(expected), dtype=np.bool_)
+    is_measured = np.zeros(len(expected), dtype=np.bool_)
     for view, scan in enumerate(scans):
         T = scan.T_reported
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (frustum.source, frustum.sensor))
@@ -249,14 +249,18 @@ def _update_belief(
             frustum.between(scan.points, T, before.gap)
         )
         after = after.with_votes(scan.points, source, sensor, frustum.blank(scan.points, T), frustum.near, frustum.far)
-        found |= request.sees[:, view] & frustum.answered(expected.points, scan.points[before.is_new(scan.points)], T)
+        is_measured |= request.sees[:, view] & frustum.answered(
+            expected.points, scan.points[before.is_new(scan.points)], T
+        )
     all_scans = (*known.scans, *scans)
     if request.on == MEASURED:  # gains on the measured surface do not change the record of the belief surface
         return Belief(after, known.record, all_scans)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_samples_at(expected.points, expected.normals)
-        record = record.with_batch(of, expected.areas / record.weights(of) / request.surface, found.astype(np.float64))
+        record = record.with_batch(
+            of, expected.areas / record.weights(of) / request.surface, is_measured.astype(np.float64)
+        )
     return Belief(
         after.with_tries(expected.points[after.is_still_open(expected.points, expected.normals)]), record, all_scans
     )

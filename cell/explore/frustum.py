@@ -192,9 +192,9 @@ class MinRangeOccluder:
     def blocked(self, origins: Floats, targets: Floats) -> Bools:
         """Return whether each line of sight is blocked (see `RayCaster.blocked`)."""
         nothing = np.zeros(len(origins), dtype=np.bool_)
-        found = nothing if self._occluders is None else np.array(self._occluders.blocked(origins, targets))
-        left = np.flatnonzero(~found)
+        is_blocked = nothing if self._occluders is None else np.array(self._occluders.blocked(origins, targets))
+        left = np.flatnonzero(~is_blocked)
         legs = targets[left] - origins[left]
         share = np.minimum(self._near / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12), 1.0)
-        found[left] = self._possible.blocked(origins[left], origins[left] + share * legs)
-        return found
+        is_blocked[left] = self._possible.blocked(origins[left], origins[left] + share * legs)
+        return is_blocked

@@ -119,12 +119,12 @@ def explain_uncovered(
     """Return the uncovered surface of a belief by cause, or None if there is none; `out` is left unfinished."""
     with _open_run(session, scene, surface, request, out) as run:
         run.stopped = "explanation of the uncovered surface; no batch is planned"
-        found = _sample_surface(run.session, run.settled, request)
-        if found is None:
+        basis = _sample_surface(run.session, run.settled, request)
+        if basis is None:
             return None
-        cell = pipeline.compile_cell(run.session, run.settled, found.part, is_belief=True)
-        candidates, casters = _find_candidates(run.session, run.settled, found, cell)
-        left = pick_samples(found.scouts, ~request.space.is_measured(found.scouts.points, found.scouts.normals))
+        cell = pipeline.compile_cell(run.session, run.settled, basis.part, is_belief=True)
+        candidates, casters = _find_candidates(run.session, run.settled, basis, cell)
+        left = pick_samples(basis.scouts, ~request.space.is_measured(basis.scouts.points, basis.scouts.normals))
         of = request.space.open_samples_at(left.points, left.normals)
         left = replace(left, areas=left.areas / request.record.weights(of))
         scanner = limited_scanner(run.settled.scene, run.settled.scanner)
@@ -142,16 +142,16 @@ def _open_run(
 
 def _plan(session: PlanSession, settled: SettledScene, request: BatchRequest) -> StopReason | None:
     """Plan a batch into the open folder; return the reason if none is worth its views."""
-    found = _sample_surface(session, settled, request)
-    if found is None:
+    basis = _sample_surface(session, settled, request)
+    if basis is None:
         return StopReason("nothing is uncovered")
-    surface, request = found.part, found.request
+    surface, request = basis.part, basis.request
     cell = pipeline.compile_cell(session, settled, surface, is_belief=True)
-    candidates, casters = _find_candidates(session, settled, found, cell)
+    candidates, casters = _find_candidates(session, settled, basis, cell)
     if not candidates.reached.reachable.any():
         return StopReason("the arm reaches no view of the uncovered surface")
     with session.stage("measurability") as progress:
-        measured = measure(session, settled, surface, candidates, casters, progress, samples=found.scouts)
+        measured = measure(session, settled, surface, candidates, casters, progress, samples=basis.scouts)
         files.write_measurability(session.folder, measured.M)
     problem = pipeline.make_problem(session, settled, cell, measured)
     append = pipeline.appending(session, settled, cell, surface)
@@ -170,22 +170,22 @@ def _plan(session: PlanSession, settled: SettledScene, request: BatchRequest) ->
 
 
 def _find_candidates(
-    session: PlanSession, settled: SettledScene, found: _Surface, cell: Cell
+    session: PlanSession, settled: SettledScene, surface: _Surface, cell: Cell
 ) -> tuple[CandidateSet, Sequence[RayCaster]]:
     """Reach and grow candidates; also return the ray casters.
 
     If views must keep the minimum range, space in which the part may be nearer occludes everything behind it.
     """
-    request, casters = found.request, cell.casters(found.part)
+    request, casters = surface.request, cell.casters(surface.part)
     if request.keep_min_range:
         assert settled.scene.scanner.range_mm is not None
         near = settled.scene.scanner.range_mm[0] / 1000
         casters = (casters[0], MinRangeOccluder(casters[1], request.space, near))
     is_short = request.poses is None and request.batch.views != 0
     with session.stage("reach and grow") as progress:
-        candidates = reach_viewpoints(settled, cell, found.viewpoints, progress)
+        candidates = reach_viewpoints(settled, cell, surface.viewpoints, progress)
         schedule = BELIEF_SCHEDULE if is_short else growth.SCHEDULE
-        candidates = with_grown(settled, cell, candidates, found.scouts, casters, schedule=schedule)
+        candidates = with_grown(settled, cell, candidates, surface.scouts, casters, schedule=schedule)
         files.write_candidates(session.folder, settled, candidates)
     return candidates, casters
 

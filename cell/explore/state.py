@@ -107,10 +107,10 @@ class ExplorationFolder:
     def _only_made(self) -> bool:
         """Return whether the folder was created without a first explore.json."""
         try:
-            found = {path.name for path in self.root.rglob("*")}
+            names = {path.name for path in self.root.rglob("*")}
         except OSError:
             return False
-        return found == {"stages"} or found == {"stages", self._temporary.name}
+        return names == {"stages"} or names == {"stages", self._temporary.name}
 
     @property
     def _temporary(self) -> Path:

@@ -378,10 +378,10 @@ def _triangulate(
         )
         if process.returncode or not glb_file.exists():
             raise FileError(f"{source} makes Open CASCADE fail (exit code {process.returncode}); export it again")
-        found = glb_file.read_bytes()
-    if not found and not may_be_empty:
+        glb_content = glb_file.read_bytes()
+    if not glb_content and not may_be_empty:
         raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
-    return found
+    return glb_content
 
 
 def states_unit(content: bytes) -> bool:
@@ -463,10 +463,10 @@ def _is_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
     return closed
 
 
-def _join_solids(found: list[_Body]) -> StepModel:
+def _join_solids(bodies: list[_Body]) -> StepModel:
     """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
-    any_solid = any(body.solid.any() for body in found)
-    selection = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
+    any_solid = any(body.solid.any() for body in bodies)
+    selection = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in bodies]
     omitted = sum(float(double_areas(body.vertices, body.faces[~mask]).sum()) / 2 for body, mask in selection)
     vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[mask]) for body, mask in selection)
     every: list[CadFace] = []

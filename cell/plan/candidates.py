@@ -187,8 +187,10 @@ def grow_viewpoints(
     targets = RayTargets.of(scouts.points, scouts.normals, scouts.region)
     poses = viewpoints.T_object_scanner[usable] @ evaluator.T_view_scanner
     seen = coverage.visible_coverage(poses, scouts, evaluator.scanner, evaluator.casters).covered
-    found = growth.grow(targets, seen, evaluator, schedule=schedule, progress=progress)
-    return viewpoints_from_poses(found.T_object_scanner, scouts.points[found.row], scouts.planning_face[found.row])
+    grown_poses = growth.grow(targets, seen, evaluator, schedule=schedule, progress=progress)
+    return viewpoints_from_poses(
+        grown_poses.T_object_scanner, scouts.points[grown_poses.row], scouts.planning_face[grown_poses.row]
+    )
 
 
 def with_grown(

@@ -128,17 +128,17 @@ def missed_regions(report: schema.Report) -> list[str]:
     """Return a sentence for each coverage below 1 that regions miss on held-out samples."""
     regions = report.regions or ()
     groups = [[each] for each in regions if not each.common_target] + [[each for each in regions if each.common_target]]
-    found = []
+    sentences = []
     for group in groups:
         coverable = sum(each.coverable * each.area_mm2 * each.weight for each in group)
         seen = sum(each.visible * each.area_mm2 * each.weight for each in group)
         if coverable > 0 and group[0].target < 1 and seen < group[0].target * coverable:
             names = " and ".join(f"'{each.name}'" for each in group)
-            found.append(
+            sentences.append(
                 f"the plan measures {percent(seen / coverable)} of the coverable surface of {names}, less than the "
                 f"requested {100 * group[0].target:g} %; see cell why"
             )
-    return found
+    return sentences
 
 
 def _has_pose_error(options: PlanSettings) -> bool:
@@ -371,7 +371,7 @@ def _regions(
     assert reference.region is not None
     coverable: Bools = problem.prediction.coverable.covered | plan.visible.covered
     times = plan.driven.seen.sum(axis=1)
-    found = []
+    results = []
     for number, region in enumerate(regions):
         rows = np.flatnonzero(samples.region == number)
         area_mm2 = round(1e6 * float(reference.areas[reference.region == number].sum()), 3)
@@ -381,7 +381,7 @@ def _regions(
         views = region.views or options.multiplicity
         requested = options.coverage if region.coverage is None else region.coverage
         uncoverable_rows = rows[~coverable[rows]]
-        found.append(
+        results.append(
             schema.RegionResult(
                 name=region.name,
                 area_mm2=area_mm2,
@@ -404,7 +404,7 @@ def _regions(
                 ),
             )
         )
-    return tuple(found)
+    return tuple(results)
 
 
 def _mean(values: Bools) -> float:
@@ -479,12 +479,12 @@ def attainable_coverage(
     count = max(_LEAST_SEARCHED, int(np.ceil((left / (2 * _ATTAINABLE_ERROR)) ** 2)))
     sample_rows = np.sort(rng.permutation(rest)[: min(count, problem.request.effort.searched_samples)])
     searched = pick_samples(samples, sample_rows)
-    found = probe_attainable(
+    probe = probe_attainable(
         RayTargets.of(searched.points, searched.normals, searched.region),
         view_evaluator(problem.cell, known.scanner, known.casters),
     )
-    share = estimated_share(found.measured, len(rest))
-    out_of_reach = estimated_share(found.visible & ~found.measured, len(rest)).value
+    share = estimated_share(probe.measured, len(rest))
+    out_of_reach = estimated_share(probe.visible & ~probe.measured, len(rest)).value
     return schema.Attainable(
         share=float(samples.areas[is_known].sum()) / total + left * share.value,
         standard_error=left * share.standard_error,

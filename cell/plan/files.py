@@ -94,10 +94,10 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     files += [
         (f"fixture:{fixture.name}", fixture.path) for fixture in scene.fixtures if isinstance(fixture, MeshFixture)
     ]
-    found = [(what, Path(path).absolute()) for what, path in files if path is not None]
+    paths = [(what, Path(path).absolute()) for what, path in files if path is not None]
     return tuple(
         NamedFile(role=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-        for what, path in found
+        for what, path in paths
     )
 
 

@@ -94,12 +94,12 @@ def _section(
         session.note("the uncertainty of characteristics is not predicted: the scanner has no model of its noise")
         return []
     pose_sd = (scene.plan.pose_sd_mm, scene.plan.pose_sd_deg)
-    found = predict_plan(plan, reference, setups, pose_sd, Path(scene.part.source).stem)
-    session.folder.write_json(PREDICTED, found.as_json())
-    for each in found.characteristics if is_noted else ():
+    prediction = predict_plan(plan, reference, setups, pose_sd, Path(scene.part.source).stem)
+    session.folder.write_json(PREDICTED, prediction.as_json())
+    for each in prediction.characteristics if is_noted else ():
         if each.cause:
             session.note(f"{each.name}: {each.cause}")
-    return markdown(found)
+    return markdown(prediction)
 
 
 def _plan_of(folder: RunFolder) -> InspectionPlan:

@@ -244,16 +244,16 @@ class ViewsAtRest(ViewConnector):
             return None
         step = 2 * np.pi / self._problem.world.scene.table.angles
         aside = step * np.concatenate([shares, np.negative(shares)])
-        picks, found = groups.picked_by(motion), []
+        picks, configurations_of = groups.picked_by(motion), []
         for view, q in sorted(zip(motion.order.tolist(), motion.q, strict=True), key=lambda stop: stop[0]):
             configurations = groups.configurations[view][groups.owner[view] == picks[view]]
-            found.append(
+            configurations_of.append(
                 np.concatenate([configurations, self._configurations_beside(chain, int(picks[view]), q, aside)])
             )
         return EquivalentViews(
             single_views(picks),
-            tuple(np.full(len(q), pick) for q, pick in zip(found, picks, strict=True)),
-            tuple(found),
+            tuple(np.full(len(q), pick) for q, pick in zip(configurations_of, picks, strict=True)),
+            tuple(configurations_of),
         )
 
     def _configurations_beside(self, chain: ArmOnTable, view: int, q: Floats, aside: Floats) -> Floats:
@@ -263,12 +263,12 @@ class ViewsAtRest(ViewConnector):
         angles = from_steps(to_steps(q[ARM_AXES] + aside))
         branches = chain.inverse_at(T_part_scanner @ np.linalg.inv(world.T_flange_scanner), angles)
         solved = setpoints(branches, chain.limits)
-        found = []
+        nearest = []
         for side in range(len(angles)):
             configurations = solved.q[solved.pose == side]
             if len(configurations):
-                found.append(configurations[np.argmin(np.abs(configurations - q).max(axis=1))])
-        near = np.array(found).reshape(-1, len(q))
+                nearest.append(configurations[np.argmin(np.abs(configurations - q).max(axis=1))])
+        near = np.array(nearest).reshape(-1, len(q))
         near = near[problem.cell.checker.free(near)]
         return near[self._arm.occludes_no_more(view, q, near)] if len(near) else near
 
@@ -309,9 +309,9 @@ class SweepingViews(ViewConnector):
         """Reject candidates whose sweep cannot be driven; the most frequent reasons come first."""
         rejected = {}
         for view in views.tolist():
-            found = self._sweeps(view)
-            if not found.paths:
-                reasons = Counter(refused.sentence for refused in found.refused)
+            sweeps = self._sweeps(view)
+            if not sweeps.paths:
+                reasons = Counter(refused.sentence for refused in sweeps.refused)
                 common = "; ".join(reason for reason, _ in reasons.most_common(2))
                 rejected[view] = f"its sweep cannot be driven: {common}"
         return NextAction.SELECT if rejected else NextAction.CONNECT, rejected
@@ -394,17 +394,17 @@ def connect_views(
     rejected: dict[int, str] = {}
     before: tuple[int, ...] = ()
     while isinstance(
-        found := _try_to_connect(problem, views, selection, rejected, before, motion_rng, progress), _Retry
+        outcome := _try_to_connect(problem, views, selection, rejected, before, motion_rng, progress), _Retry
     ):
-        for view, reason in found.rejected.items():
+        for view, reason in outcome.rejected.items():
             if view in problem.request.plan.pinned:
                 raise PinnedViewError(view, reason)
-        rejected |= found.rejected
-        before = found.visited or before
-        if found.action is NextAction.SELECT:
+        rejected |= outcome.rejected
+        before = outcome.visited or before
+        if outcome.action is NextAction.SELECT:
             selection = select_views(problem, selection_rng, M=views.M, rejected=rejected, shaded=views.shaded)
-    found = _between_table_angles(problem, views, selection, found, motion_rng)
-    return _connected_plan(problem, views, selection, rejected, found)
+    outcome = _between_table_angles(problem, views, selection, outcome, motion_rng)
+    return _connected_plan(problem, views, selection, rejected, outcome)
 
 
 def _try_to_connect(
@@ -457,24 +457,28 @@ def _try_to_connect(
 
 
 def _between_table_angles(
-    problem: SelectionProblem, views: ViewConnector, selection: Selection, found: _Connected, rng: np.random.Generator
+    problem: SelectionProblem,
+    views: ViewConnector,
+    selection: Selection,
+    connection: _Connected,
+    rng: np.random.Generator,
 ) -> _Connected:
     """Shorten a motion without detours by table angles between those of the scene."""
     short = replace(problem.request.motion, guesses=problem.request.motion.guesses[:1], polish=0)
     problem = replace(problem, request=replace(problem.request, motion=short))
     for shares in TABLE_STEPS:
-        if found.motion.detour.any():
-            return found
-        groups = views.between_table_angles(found.groups, found.motion, shares)
+        if connection.motion.detour.any():
+            return connection
+        groups = views.between_table_angles(connection.groups, connection.motion, shares)
         if groups is None:
-            return found
-        before = found.groups.visited_by(found.motion)
+            return connection
+        before = connection.groups.visited_by(connection.motion)
         motion = _plan_motion(problem, views, selection, groups, before, rng, None)
-        is_shorter = not motion.dropped and motion.duration < found.motion.duration * (1 - 1e-9)
+        is_shorter = not motion.dropped and motion.duration < connection.motion.duration * (1 - 1e-9)
         # Other configurations at the angles of the scene are nodes as well; the arm was not checked there.
-        if is_shorter and views.occludes_no_more(groups.views, found.motion, motion):
-            found = _Connected(groups, motion)
-    return found
+        if is_shorter and views.occludes_no_more(groups.views, connection.motion, motion):
+            connection = _Connected(groups, motion)
+    return connection
 
 
 def _plan_motion(
@@ -515,10 +519,12 @@ def _ordering(request: Request, selection: Selection) -> Ordering:
 
 def _connected_plan(
     problem: SelectionProblem, views: ViewConnector, selection: Selection, rejected: Mapping[int, str],
-    found: _Connected,
+    connection: _Connected,
 ) -> ConnectedPlan:  # fmt: skip
     world, kinematics = problem.world, problem.cell.kinematics
-    cover, motion = cover_of_motion(selection.cover, views.M, found.motion, found.groups.picked_by(found.motion))
+    cover, motion = cover_of_motion(
+        selection.cover, views.M, connection.motion, connection.groups.picked_by(connection.motion)
+    )
     if problem.request.costs is not None:
         cover = _with_cost(problem, selection, cover, motion)
     driven = views.driven(cover.views, motion)

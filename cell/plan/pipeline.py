@@ -472,11 +472,11 @@ def finish(
 
 def _optional_results(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> OptionalResults:
     """Compute optional results: simulated pose errors, coverage curve, attainable coverage."""
-    found, options, cover = plan.selection, problem.request.plan, plan.cover
-    if found.note:
-        session.note(found.note)
+    plan_selection, options, cover = plan.selection, problem.request.plan, plan.cover
+    if plan_selection.note:
+        session.note(plan_selection.note)
     robust, curve = None, None
-    if numbers := evaluation.robust_selection(found, cover.total_area):
+    if numbers := evaluation.robust_selection(plan_selection, cover.total_area):
         with session.stage("simulate executions") as progress:
             rng = session.rng(Stream.SIMULATED_EXECUTIONS)
             robust = selection.simulate_pose_errors(
@@ -485,7 +485,7 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
     if options.curve:
         with session.stage("coverage over views"):
             rng = session.rng(Stream.COVERAGE_CURVE)
-            points = selection.curve_of_plan(problem, plan.matrix, found, rng)
+            points = selection.curve_of_plan(problem, plan.matrix, plan_selection, rng)
             selection.write_curve(session.folder, session.plots, points, len(cover.views), cover.covered_area)
         curve = selection.minimum_views_of(points)
     with session.stage("attainable coverage"):

@@ -110,8 +110,8 @@ def skip_reason(problem: SelectionProblem) -> str:
         "the fill method rays": plan.fill != "aimed",
         "a scanner that sweeps": not problem.is_at_rest,
     }
-    found = [name for name, is_given in reasons.items() if is_given]
-    return f"the search does not support {found[0]}" if found else ""
+    names = [name for name, is_given in reasons.items() if is_given]
+    return f"the search does not support {names[0]}" if names else ""
 
 
 def search_views(

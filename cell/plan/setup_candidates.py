@@ -138,14 +138,16 @@ def proposed_candidates(world: World, part: TriangleMesh, limit: int) -> list[Se
     placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
     turns_deg = _TURNS_DEG[:1] if _table_turns_part(world) else _TURNS_DEG
     turns = Rotation.from_rotvec(np.outer(turns_deg, (0.0, 0.0, 1.0)), degrees=True).as_matrix()
-    found: list[SetupCandidate] = []
+    proposals: list[SetupCandidate] = []
     for name, R, post in _poses(world, part, placed):
         for turn, about_vertical in zip(turns_deg, turns, strict=True):
             text, is_placed = f"{name}, turned by {turn:g} deg" if turn else name, R is placed
-            found.append(SetupCandidate(text, _placement(world, about_vertical @ R), post=post, rests=not is_placed))
-        if len(found) >= limit:
+            proposals.append(
+                SetupCandidate(text, _placement(world, about_vertical @ R), post=post, rests=not is_placed)
+            )
+        if len(proposals) >= limit:
             break
-    return found[:limit]
+    return proposals[:limit]
 
 
 def _poses(world: World, part: TriangleMesh, placed: Floats) -> Iterator[tuple[str, Floats, Post | None]]:
@@ -327,12 +329,12 @@ def make_setup(
     cell = Cell.of(world)
     with session.stage(candidate.name) as progress:
         casters, supports = cell.casters(surface), fixed_occluders(world)
-        found = reach_viewpoints(settled, cell, viewpoints)
-        found = with_grown(settled, cell, found, scouts, casters, progress)
-        if not found.reached.reachable.any():
+        candidate_set = reach_viewpoints(settled, cell, viewpoints)
+        candidate_set = with_grown(settled, cell, candidate_set, scouts, casters, progress)
+        if not candidate_set.reached.reachable.any():
             return "the arm reaches no candidate"
         measured = measure(
-            session, settled, surface, found, casters, progress, ignored=in_contact(surface.samples, supports),
+            session, settled, surface, candidate_set, casters, progress, ignored=in_contact(surface.samples, supports),
             may_be_empty=True,
         )  # fmt: skip
         contact = in_contact(measured.prediction.samples, supports)

@@ -99,9 +99,9 @@ def _plan_setups(
 ) -> Verdict:
     """Plan all set-ups into the open folder."""
     surface, candidates, outcomes = try_candidates(session, settled, options.proposals, first)
-    setups = {row: found for row, found in enumerate(outcomes) if isinstance(found, Setup)}
+    setups = {row: outcome for row, outcome in enumerate(outcomes) if isinstance(outcome, Setup)}
     if not any(len(setup.measured.M.indices) for setup in setups.values()):
-        reason = next((found for found in outcomes if isinstance(found, str)), "no candidate measures anything")
+        reason = next((outcome for outcome in outcomes if isinstance(outcome, str)), "no candidate measures anything")
         raise UnreachableError(
             f"none of the {len(candidates)} set-up candidates can be planned ({reason}); move the part"
         )
@@ -109,8 +109,8 @@ def _plan_setups(
     with session.stage("select and connect"):
         request = SetupsRequest.of(session, settled.scene, options)
         search = SetupSearch(session, surface, setups, request)
-        found, connected = search.solve()
-        alternative = search.fewest_views(found)
+        cover, connected = search.solve()
+        alternative = search.fewest_views(cover)
         setups = search.setups
     visible = {row: setups[row].visible(setup.T_object_poses) for row, setup in connected.items()}
     seen = np.logical_or.reduce(list(visible.values()))
@@ -123,7 +123,7 @@ def _plan_setups(
     for number, row in enumerate(order, start=1):
         _write_setup(outer, session, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
     used = [(row, visible[row]) for row in order]
-    file = _setups_file(session, settled, request, setups, found, candidates, outcomes, used)
+    file = _setups_file(session, settled, request, setups, cover, candidates, outcomes, used)
     views_first = None if alternative is None else ViewsFirst(setups=alternative[0], views=alternative[1])
     file = file.model_copy(update={"alternative": views_first})
     if settled.scene.plan.curve:
@@ -168,33 +168,33 @@ def _predicted_section(
 
 def _regions_without_samples(settled: SettledScene, reference: TriangleMesh, samples: SurfaceSamples) -> list[str]:
     """Return a sentence for each region with an area in which no held-out sample lies."""
-    found = []
+    sentences = []
     for number, region in enumerate(with_rest(settled.scene.region)):
         area_mm2 = 1e6 * float(reference.areas[reference.region == number].sum())
         if region.is_measured and area_mm2 and not np.any(samples.region == number):
-            found.append(f"the region '{region.name}' cannot be measured: {no_samples(area_mm2, len(samples))}")
-    return found
+            sentences.append(f"the region '{region.name}' cannot be measured: {no_samples(area_mm2, len(samples))}")
+    return sentences
 
 
 def _require_candidates(options: SetupOptions, outcomes: Sequence[Setup | str]) -> None:
     """Refuse pinned and banned candidates that do not exist, and pinned ones that are not reachable."""
     for setup, number in (*options.pins, *options.bans):
-        name, found = format_candidate((setup, number)), outcomes[setup] if setup < len(outcomes) else ""
+        name, outcome = format_candidate((setup, number)), outcomes[setup] if setup < len(outcomes) else ""
         if setup >= len(outcomes):
             raise UsageError(f"candidate {name}: there are {len(outcomes)} set-up candidates, 0 to {len(outcomes) - 1}")
-        if not isinstance(found, Setup):
-            raise UsageError(f"candidate {name}: set-up {setup} is not possible ({found}); name another")
-        if number >= len(reachable := found.measured.reached.reachable):
+        if not isinstance(outcome, Setup):
+            raise UsageError(f"candidate {name}: set-up {setup} is not possible ({outcome}); name another")
+        if number >= len(reachable := outcome.measured.reached.reachable):
             raise UsageError(f"candidate {name}: set-up {setup} has candidates 0 to {len(reachable) - 1}")
         if (setup, number) in options.pins and not reachable[number]:
             raise UsageError(f"candidate {name} is pinned, and the arm does not reach it; pin another")
 
 
-def cause_of_omission(found: Setup | str, seen: Bools) -> str:
+def cause_of_omission(outcome: Setup | str, seen: Bools) -> str:
     """Explain why a set-up is not used, given the (S,) held-out samples that the others measure."""
-    if isinstance(found, str):
-        return found
-    more = float((found.coverable & ~seen).mean())
+    if isinstance(outcome, str):
+        return outcome
+    more = float((outcome.coverable & ~seen).mean())
     if not more:
         return "it measures nothing that the others do not measure"
     return f"the request is met without it (it can add {percent(more)} of the surface)"
@@ -228,7 +228,7 @@ def _write_setup(
 
 def _setups_file(
     session: PlanSession, settled: SettledScene, request: SetupsRequest, setups: Mapping[int, Setup],
-    found: GroupedCover, candidates: Sequence[SetupCandidate], outcomes: Sequence[Setup | str],
+    cover: GroupedCover, candidates: Sequence[SetupCandidate], outcomes: Sequence[Setup | str],
     used: Sequence[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
     selected_setups, seen = [], np.zeros_like(used[0][1])
@@ -258,13 +258,13 @@ def _setups_file(
             target=settled.scene.plan.coverage,
             required=settled.scene.plan.required_visible,
         ),
-        status=status(found, len(candidates), request.request.targets),
-        setups_bound=found.group_bound,
+        status=status(cover, len(candidates), request.request.targets),
+        setups_bound=cover.group_bound,
         views=sum(each.views for each in selected_setups),
-        views_bound=found.view_bound,
-        seconds=None if found.cost_and_bound is None else found.cost_and_bound[0],
-        seconds_bound=None if found.cost_and_bound is None else found.cost_and_bound[1],
-        satisfied_share=None if request.needs_one_view else found.share,
+        views_bound=cover.view_bound,
+        seconds=None if cover.cost_and_bound is None else cover.cost_and_bound[0],
+        seconds_bound=None if cover.cost_and_bound is None else cover.cost_and_bound[1],
+        satisfied_share=None if request.needs_one_view else cover.share,
         regions=tuple(_regions(settled.scene, samples, seen, coverable)),
         selected=tuple(selected_setups),
         candidates=tuple(_candidate_setup(*each) for each in zip(candidates, outcomes, strict=True)),
@@ -288,16 +288,16 @@ def _regions(scene: Scene, samples: SurfaceSamples, seen: Bools, coverable: Bool
             )
 
 
-def _candidate_setup(candidate: SetupCandidate, found: Setup | str) -> CandidateSetup:
-    is_possible = isinstance(found, Setup)
+def _candidate_setup(candidate: SetupCandidate, outcome: Setup | str) -> CandidateSetup:
+    is_possible = isinstance(outcome, Setup)
     return CandidateSetup(
         name=candidate.name,
         placement_mm=candidate.placement.position_mm,
         placement_abc_deg=candidate.placement.abc_deg,
-        reachable=int(found.measured.reached.reachable.sum()) if isinstance(found, Setup) else 0,
-        coverable=float(found.coverable.mean()) if isinstance(found, Setup) else 0.0,
-        in_contact=float(found.contact.mean()) if isinstance(found, Setup) else 0.0,
-        cause="" if is_possible else str(found),
+        reachable=int(outcome.measured.reached.reachable.sum()) if isinstance(outcome, Setup) else 0,
+        coverable=float(outcome.coverable.mean()) if isinstance(outcome, Setup) else 0.0,
+        in_contact=float(outcome.contact.mean()) if isinstance(outcome, Setup) else 0.0,
+        cause="" if is_possible else str(outcome),
     )
 
 
@@ -327,9 +327,9 @@ def uncovered_surface(
         free = np.flatnonzero(~setup.contact[rows] & ~measured)
         searched = pick_samples(samples, rows[free])
         targets = RayTargets.of(searched.points, searched.normals, searched.region)
-        found = probe_attainable(targets, setup.evaluator(searched))
-        measured[free] |= found.measured
-        visible[free] |= found.visible
+        probe = probe_attainable(targets, setup.evaluator(searched))
+        measured[free] |= probe.measured
+        visible[free] |= probe.visible
     left = len(rest) / len(samples)  # samples stand for equal areas
     out_of_reach, other_poses, out_of_sight = (
         estimated_share(hits, len(rest)) for hits in (visible & ~measured, measured, ~visible)

@@ -79,8 +79,8 @@ def describe_refusal(error: ValueError, *, has_lines: bool = True) -> str:
 
 def _cause(sentence: str) -> str:
     for pattern, ours in _CAUSES:
-        if found := re.search(pattern, sentence):
-            return ours.format(*(group.strip()[:60] for group in found.groups()))
+        if match := re.search(pattern, sentence):
+            return ours.format(*(group.strip()[:60] for group in match.groups()))
     return f"MuJoCo's compiler reports '{sentence[:120]}'; correct or remove this element"
 
 

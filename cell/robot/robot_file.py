@@ -420,7 +420,7 @@ def _require_tree(root: ElementTree.Element, path: Path) -> None:
             known = ", ".join(_JOINT_TYPES)
             raise SceneError(f"{path}: the joint '{name}' has the type '{kind}'; supported are {known}")
         ends = [
-            (found.get("link", "") if (found := joint.find(end)) is not None else "") for end in ("parent", "child")
+            (element.get("link", "") if (element := joint.find(end)) is not None else "") for end in ("parent", "child")
         ]
         for end, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:

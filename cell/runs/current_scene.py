@@ -73,20 +73,20 @@ def require_current_scene(
         wire: whether a real controller is driven; a missing file is then a difference.
     """
     missing_files: list[str] = []
-    found = dict(_differences(verified, now, missing_files))
+    differences = dict(_differences(verified, now, missing_files))
     if missing_files:
-        found[MISSING] = (
+        differences[MISSING] = (
             f"{', '.join(missing_files)} {'is' if len(missing_files) == 1 else 'are'} missing and cannot be compared "
             "with the plan"
         )
-    unaccepted = {name: sentence for name, sentence in found.items() if name not in now.accept_changed_scene}
+    unaccepted = {name: sentence for name, sentence in differences.items() if name not in now.accept_changed_scene}
     refused = {name: sentence for name, sentence in unaccepted.items() if name != MISSING or wire}
     if refused:
         raise SceneError(
             f"the cell differs from the plan: {'; '.join(refused.values())}. Plan again, or accept it with "
             f"--accept-changed-scene {','.join(refused)}"
         )
-    for sentence in found.values():
+    for sentence in differences.values():
         if reporter is not None:
             reporter.note(sentence)
 

@@ -173,15 +173,15 @@ class Run(ArtefactFolder):
     def facts(self) -> list[tuple[str, str]]:
         """Return folder, number of views, coverage, bound and duration; of a run without a report its status."""
         try:
-            found = self.report
+            report = self.report
         except FileError:
             return [("folder", str(self.folder)), ("status", "damaged" if self.is_finished else self.ending)]
         return [
             ("folder", str(self.folder)),
-            ("views", str(found.n_views)),
-            ("coverage", percent(found.coverage.visible)),
-            ("lower bound", f"{found.lower_bound} views"),
-            ("motion", f"{found.motion.duration_s:.1f} s"),
+            ("views", str(report.n_views)),
+            ("coverage", percent(report.coverage.visible)),
+            ("lower bound", f"{report.lower_bound} views"),
+            ("motion", f"{report.motion.duration_s:.1f} s"),
         ]
 
     @property

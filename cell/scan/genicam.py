@@ -170,11 +170,11 @@ def _select(devices: Sequence[Any], identity: str, errors: _Errors) -> tuple[Any
     """Return the only device, or the only one with an identity, and its name for messages."""
 
     def identities(device: Any) -> dict[str, str]:
-        found = {}
+        identity = {}
         for key in ("vendor", *_IDENTITIES):
             with suppress(*errors):  # optional in GenTL
-                found[key] = str(getattr(device, key))
-        return found
+                identity[key] = str(getattr(device, key))
+        return identity
 
     known = [identities(device) for device in devices]
     names = [" ".join(each.get(key, "") for key in ("vendor", "model", "serial_number")).strip() for each in known]
@@ -230,8 +230,8 @@ def _distance_unit(nodes: Any) -> str | None:
 
 def _of_frame(nodes: Any, name: str) -> Any:
     """Return a value of 3D scanning from the chunk data of the last frame, else from the settings."""
-    found = _value(nodes, f"ChunkScan3d{name}")
-    return _value(nodes, f"Scan3d{name}") if found is None else found
+    value = _value(nodes, f"ChunkScan3d{name}")
+    return _value(nodes, f"Scan3d{name}") if value is None else value
 
 
 def _capture(camera: Any, timeout_s: float) -> DepthGrid:
@@ -272,12 +272,12 @@ def read_frame(parts: Sequence[Any], nodes: Any) -> DepthGrid:
     confidence = None
     for part in parts:
         name, size = str(part.data_format), (int(part.height), int(part.width))
-        if found := _COORDINATES.fullmatch(name):
-            axes, planar = found[1], found[3] is not None
+        if match := _COORDINATES.fullmatch(name):
+            axes, planar = match[1], match[3] is not None
             shape = (len(axes), *size) if planar else (*size, len(axes))
             values = _reshaped(part, shape)
             for k, axis in enumerate(axes):
-                planes[axis] = (values[k] if planar else values[..., k], found[2] != "32f")
+                planes[axis] = (values[k] if planar else values[..., k], match[2] != "32f")
         elif _CONFIDENCE.fullmatch(name):
             confidence = _reshaped(part, size)
     formats = ", ".join(str(part.data_format) for part in parts) or "nothing"

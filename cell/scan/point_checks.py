@@ -139,7 +139,7 @@ def _outside_sensor_limits(clouds: Sequence[Floats], scans: Sequence[ExecutedSca
     """Return a sentence for each view with many points outside field of view or range of the scanner."""
     keys = cell.scanner_keys.own
     fov, limits = keys.get("fov_deg"), keys.get("range_mm")
-    found: list[str] = []
+    sentences: list[str] = []
     for points, scan in zip(clouds, scans, strict=True):
         if not isinstance(fov, list) or not isinstance(limits, list) or len(scan.T_reported_poses) > 1:
             break
@@ -151,8 +151,8 @@ def _outside_sensor_limits(clouds: Sequence[Floats], scans: Sequence[ExecutedSca
         outside_range = (distance < 0.98 * low) | (distance > 1.02 * high)
         for share, limit in ((outside_fov.mean(), "field of view"), (outside_range.mean(), "range")):
             if share > _OUTSIDE:
-                found.append(
+                sentences.append(
                     f"{100 * share:.0f} % of the points of view {scan.stop} lie outside the scanner's {limit}; the "
                     "scene describes another scanner, or another mount"
                 )
-    return found
+    return sentences

@@ -599,13 +599,13 @@ def _region_values(cell: RunCell, achieved: AchievedCoverage) -> tuple[ExecutedR
     of_sample = achieved.surface.samples.region
     if of_sample is None:
         return None
-    times, found = achieved.surface.seen.sum(axis=1), []
+    times, regions = achieved.surface.seen.sum(axis=1), []
     for number, region in enumerate(cell.scene.regions or ()):
         region_times, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
         if len(region_times):
             visible, enough = float((region_times > 0).mean()), float((region_times >= views).mean())
-            found.append(ExecutedRegion(name=region.name, visible=visible, views=views, satisfied_share=enough))
-    return tuple(found)
+            regions.append(ExecutedRegion(name=region.name, visible=visible, views=views, satisfied_share=enough))
+    return tuple(regions)
 
 
 def _view_values(k: int, scan: ExecutedScan, results: ExecutionResults) -> ExecutedView:

@@ -43,10 +43,12 @@ class RemainingMotion:
         if self.approach_path is not None:
             goal = f"view {stops[0]}" if stops else "home"
             moves = len(self.approach_path) - 1
-            found = clearance.motion_clearance(checker, self.approach_path, np.zeros(moves + 1, dtype=np.int64), 1)
+            path_clearance = clearance.motion_clearance(
+                checker, self.approach_path, np.zeros(moves + 1, dtype=np.int64), 1
+            )
             notes.append(
                 f"the arm is not where the plan continues; a new path to {goal} was planned: {moves} moves, nearest "
-                f"{1000 * found.distance[0]:.1f} mm ({found.between[0] or 'nothing near'})"
+                f"{1000 * path_clearance.distance[0]:.1f} mm ({path_clearance.between[0] or 'nothing near'})"
             )
         return notes
 
@@ -107,13 +109,13 @@ def _approach_path(
             f"the arm is at {format_axes(state.axes)}, outside the joint range of the plan, where no path is checked; "
             "nothing was moved: drive the arm by hand to a collision-free position, or home, and resume again"
         )
-    found = path.connect(here, segment.via[-1], checker, limits, np.random.default_rng([seed, segment.stop]))
-    if found.via is None:
+    result = path.connect(here, segment.via[-1], checker, limits, np.random.default_rng([seed, segment.stop]))
+    if result.via is None:
         blocker = next(iter((*checker.contacts(here), *checker.contacts(segment.via[-1]))), "")
         near = f" ({blocker})" if blocker else ""
         raise DriverFailureError(
             f"no path from the current position {format_axes(state.axes)} to {segment.goal}: "
-            f"{found.status.sentence}{near}; nothing was moved: drive the arm by hand to a collision-free "
+            f"{result.status.sentence}{near}; nothing was moved: drive the arm by hand to a collision-free "
             "position, or home, and resume again"
         )
-    return found.via
+    return result.via

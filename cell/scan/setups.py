@@ -316,8 +316,10 @@ def _register_bodies(
     """Register all bodies to the reference and to each other if one of them was localised."""
     if len(bodies) < 2 or all(body.merged.fit is None for body in bodies):
         return bodies, None
-    found = register([body.merged.cloud for body in bodies], nearest, samples=_SAMPLES // len(bodies))
-    return [body.transformed(scan.T_correction) for body, scan in zip(bodies, found.scans, strict=True)], found
+    registration = register([body.merged.cloud for body in bodies], nearest, samples=_SAMPLES // len(bodies))
+    return [
+        body.transformed(scan.T_correction) for body, scan in zip(bodies, registration.scans, strict=True)
+    ], registration
 
 
 def _write_combined(

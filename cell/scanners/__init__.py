@@ -188,14 +188,14 @@ def _installed(find: Callable[..., EntryPoints], path: tuple[str, ...]) -> tuple
 
 def _entry_point(name: str) -> EntryPoint:
     """Return the entry point of a name."""
-    found = [point for point in _installed(entry_points, tuple(sys.path)) if point.name == name]
-    if not found:
+    points = [point for point in _installed(entry_points, tuple(sys.path)) if point.name == name]
+    if not points:
         valid = ", ".join(names()) or "none (is scan-cell installed?)"
         raise SceneError(f"scanner type '{name}' is not installed; valid are: {valid}")
-    if len({point.value for point in found}) > 1:
-        offers = " and ".join(f"{_distribution(point)} ({point.value})" for point in found)
+    if len({point.value for point in points}) > 1:
+        offers = " and ".join(f"{_distribution(point)} ({point.value})" for point in points)
         raise SceneError(f"scanner type '{name}' is offered by {offers}; uninstall all but one")
-    return found[0]
+    return points[0]
 
 
 def _distribution(point: EntryPoint) -> str:

@@ -134,12 +134,12 @@ def flag(name: str) -> str:
 @cache
 def option_specs(model: type[BaseModel], *names: str) -> Mapping[str, OptionSpec]:
     """Return the options of the fields of a model and its tables, by name: all, or only the given names."""
-    found: dict[str, OptionSpec] = {}
+    specs: dict[str, OptionSpec] = {}
     for key, field, option in _option_fields(model):
         name = option.name or _UNIT.sub("", key.rpartition(".")[2])
-        earlier = found[name].fields if name in found else {}
-        found[name] = OptionSpec(name, option, {**earlier, key: field})
-    return {name: found[name] for name in names or found}
+        earlier = specs[name].fields if name in specs else {}
+        specs[name] = OptionSpec(name, option, {**earlier, key: field})
+    return {name: specs[name] for name in names or specs}
 
 
 def parse_options(model: type[Model], options: Mapping[str, object], spell: Spell = str) -> Model:
@@ -215,12 +215,14 @@ def _kind(annotation: Any, metadata: Sequence[object]) -> Kind:
 def _limits(metadata: Sequence[object]) -> str:
     """Return limits in words: "above 0 to 1", "at least 4"."""
     flat = [item for each in metadata for item in (each.metadata if isinstance(each, FieldInfo) else [each])]
-    found = {word: getattr(each, word) for each in flat for word in ("gt", "ge", "lt", "le") if hasattr(each, word)}
-    low = f"above {found['gt']:g}" if "gt" in found else f"{found['ge']:g}" if "ge" in found else ""
-    high = f"below {found['lt']:g}" if "lt" in found else f"{found['le']:g}" if found.get("le", _MANY) < _MANY else ""
+    bounds = {word: getattr(each, word) for each in flat for word in ("gt", "ge", "lt", "le") if hasattr(each, word)}
+    low = f"above {bounds['gt']:g}" if "gt" in bounds else f"{bounds['ge']:g}" if "ge" in bounds else ""
+    high = (
+        f"below {bounds['lt']:g}" if "lt" in bounds else f"{bounds['le']:g}" if bounds.get("le", _MANY) < _MANY else ""
+    )
     if low and high:
         return f"{low} to {high}"
-    return f"at least {low}" if "ge" in found else low
+    return f"at least {low}" if "ge" in bounds else low
 
 
 def _field_values(spec: OptionSpec, argument: object) -> dict[str, object]:

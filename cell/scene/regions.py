@@ -90,27 +90,27 @@ def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
 def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
     """Return the triangles (F,) for which all selectors of a region hold."""
     mesh = part.reference
-    found = np.ones(len(mesh.faces), dtype=np.bool_)
+    is_selected = np.ones(len(mesh.faces), dtype=np.bool_)
     if any(key is not None for key in (region.faces, region.kind, region.diameter_above_mm, region.diameter_below_mm)):
         if part.cad is None:
             raise SceneError(
                 f"the region '{region.name}' selects CAD faces, and {part.name} is a mesh, which has none; give the "
                 "part as STEP, or select by a box or a colour"
             )
-        found &= _by_face(region, part.cad)[part.cad.of_triangle]
+        is_selected &= _by_face(region, part.cad)[part.cad.of_triangle]
     if region.box_mm is not None:
         low, high = np.array(region.box_mm).reshape(2, 3) / 1000
-        within = np.zeros(len(found), dtype=np.bool_)
+        within = np.zeros(len(is_selected), dtype=np.bool_)
         within[faces_in_box(mesh, low, high)] = True
-        found &= within
+        is_selected &= within
     if region.colour is not None:
-        found &= _by_colour(region, region.colour, mesh, scene)
-    return found
+        is_selected &= _by_colour(region, region.colour, mesh, scene)
+    return is_selected
 
 
 def _by_face(region: Region, cad: CadModel) -> Bools:
     """Return the CAD faces (N,) with the number, kind and diameter of a region."""
-    found = np.ones(len(cad.faces), dtype=np.bool_)
+    is_selected = np.ones(len(cad.faces), dtype=np.bool_)
     if region.faces is not None:
         numbers = [face.number for face in cad.faces]
         if missing := [number for number in region.faces if number not in numbers]:
@@ -118,15 +118,15 @@ def _by_face(region: Region, cad: CadModel) -> Bools:
                 f"the region '{region.name}' names face {missing[0]}, which the part does not have; cell part lists "
                 f"{numbers[0]} to {numbers[-1]}"
             )
-        found &= np.isin(numbers, region.faces)
+        is_selected &= np.isin(numbers, region.faces)
     if region.kind is not None:
-        found &= np.array([face.kind == region.kind for face in cad.faces])
+        is_selected &= np.array([face.kind == region.kind for face in cad.faces])
     diameter = np.array([np.nan if face.radius is None else 2000 * face.radius for face in cad.faces])
     if region.diameter_below_mm is not None:
-        found &= diameter < region.diameter_below_mm
+        is_selected &= diameter < region.diameter_below_mm
     if region.diameter_above_mm is not None:
-        found &= diameter > region.diameter_above_mm
-    return np.asarray(found)
+        is_selected &= diameter > region.diameter_above_mm
+    return np.asarray(is_selected)
 
 
 def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) -> Bools:

@@ -134,7 +134,7 @@ def parse_pairs(option: str, text: str) -> list[tuple[float, float]]:
     Raises:
         UsageError: if a piece is not a pair of ascending positive numbers.
     """
-    found = []
+    pairs = []
     for piece in text.split(","):
         near, dash, far = piece.partition("-")
         try:
@@ -145,5 +145,5 @@ def parse_pairs(option: str, text: str) -> list[tuple[float, float]]:
             raise UsageError(
                 f"{option} {text} must be pairs of near and far limit, for instance {option} 50-150,100-300"
             )
-        found.append(pair)
-    return found
+        pairs.append(pair)
+    return pairs

@@ -155,8 +155,8 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
                 progress("plans", n_done, total)
 
         values = {each.trial: each.values for each in run_trials(list(trials.values()), workers, on_outcome=on_outcome)}
-        found = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
-        return {place: each for place, each in found.items() if each is not None}
+        plans = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
+        return {place: each for place, each in plans.items() if each is not None}
 
     unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(COARSE_PLACES)
     points = np.tile(low, (COARSE_PLACES if len(free) else 1, 1))
@@ -242,13 +242,13 @@ def place_study(
         progress: is called for each trial.
         plan: command that plans the scene, to which a placement is appended.
     """
-    found = search(scene, where, workers, progress=progress)
-    commands = [f"{shlex.join(map(str, plan))} {place_option(row)}" for row in found.ten]
+    outcome = search(scene, where, workers, progress=progress)
+    commands = [f"{shlex.join(map(str, plan))} {place_option(row)}" for row in outcome.ten]
     result = StudyResult(
-        folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
+        folder, outcome.ten, sentences(outcome), [], sum(outcome.places.values()), list(outcome.ten[0]), commands, 0
     )
-    seconds = [{"round": name, "places": count} for name, count in found.places.items()]
-    write_folder("place", "Best placements of the part", result, pictures(found), seconds)
+    seconds = [{"round": name, "places": count} for name, count in outcome.places.items()]
+    write_folder("place", "Best placements of the part", result, pictures(outcome), seconds)
     return result
 
 
@@ -287,13 +287,13 @@ def _basins(points: Sequence[Place], extent: Floats) -> list[list[Place]]:
 
 def _neighbours(point: Place, step: Floats, low: Floats, high: Floats, free: Ints) -> list[Place]:
     """Return the points one step away in both directions of each free axis, inside the range."""
-    found = []
+    neighbours = []
     for axis in free:
         for sign in (-1.0, 1.0):
             other = np.array(point)
             other[axis] = np.clip(other[axis] + sign * step[axis], low[axis], high[axis])
-            found.append(_rounded(other))
-    return [other for other in dict.fromkeys(found) if other != point]
+            neighbours.append(_rounded(other))
+    return [other for other in dict.fromkeys(neighbours) if other != point]
 
 
 def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCoverage]]) -> tuple[float, float]:
@@ -313,9 +313,9 @@ def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCove
     return float(lost_mm.min(initial=np.inf)), float(unreached_mm.min(initial=np.inf))
 
 
-def sentences(found: PlaceSearchResult) -> list[str]:
+def sentences(result: PlaceSearchResult) -> list[str]:
     """Summarise the best placement and its certainty."""
-    best, ten = found.ten[0], found.ten
+    best, ten = result.ten[0], result.ten
     views = [row["views"] for row in ten if row["views"] is not None]
     spread = [np.ptp([row[axis] for row in ten]) for axis in AXES]
     low, high = min(row["coverable %"] for row in ten), max(row["coverable %"] for row in ten)
@@ -324,9 +324,9 @@ def sentences(found: PlaceSearchResult) -> list[str]:
         f"By the estimates before the plans, the {len(ten)} best places cover {low:.1f} to {high:.1f} % with "
         f"{min(views)} to {max(views)} views; they spread over {spread[0]:.0f} x {spread[1]:.0f} x "
         f"{spread[2]:.0f} mm and {spread[3]:.0f} deg.",
-        f"{_distance_text(found.lost_mm, '5 % of its coverage is lost')}; "
-        f"{_distance_text(found.unreached_mm, 'nothing is reachable').lower()}.",
-        f"{found.n_places} places were evaluated; another seed evaluates others.",
+        f"{_distance_text(result.lost_mm, '5 % of its coverage is lost')}; "
+        f"{_distance_text(result.unreached_mm, 'nothing is reachable').lower()}.",
+        f"{result.n_places} places were evaluated; another seed evaluates others.",
     ]
 
 
@@ -336,15 +336,15 @@ def _distance_text(distance: float, event: str) -> str:
     return f"Nowhere within {_PROBES_MM[-1]:g} mm of the best place {event}"
 
 
-def pictures(found: PlaceSearchResult) -> Iterator[tuple[str, Figure]]:
+def pictures(result: PlaceSearchResult) -> Iterator[tuple[str, Figure]]:
     """Draw the coarse evaluations from above and over height and yaw, with the ten best marked."""
-    points = np.array([point for point, _ in found.coarse])
-    covered = 100 * np.array([share for _, share in found.coarse])
+    points = np.array([point for point, _ in result.coarse])
+    covered = 100 * np.array([share for _, share in result.coarse])
     low, high = colour_limits(covered.tolist(), "coverable %")
     figure = Figure(figsize=(12.0, 5.4), dpi=110, layout="constrained")
     for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (3, 2)), strict=True):
         image = axes.scatter(points[:, a], points[:, b], c=covered, cmap="viridis", s=18, vmin=low, vmax=high)
-        x, y = ([row[AXES[k]] for row in found.ten] for k in (a, b))
+        x, y = ([row[AXES[k]] for row in result.ten] for k in (a, b))
         axes.scatter(x, y, facecolors="none", edgecolors=VERMILION, s=70, label="ten best")
         axes.plot(x[0], y[0], "*", color=VERMILION, markersize=14, label="best")
         axes.set_xlabel(f"{AXES[a].replace(' ', ' [')}]")

@@ -182,26 +182,30 @@ def placement_study(
         }
 
     def finalists(outcomes: Sequence[Outcome]) -> list[Trial]:
-        found = estimates(outcomes)
+        estimates_of = estimates(outcomes)
         best_places = [
-            place for place in sorted(found, key=lambda place: _estimated_rank(found[place])) if found[place]["views"]
+            place
+            for place in sorted(estimates_of, key=lambda place: _estimated_rank(estimates_of[place]))
+            if estimates_of[place]["views"]
         ]
         return list(finalist_trials(scene, [*best_places[:N_PLANNED], *([default] if is_in_grid else [])]).values())
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
-        found = estimates(outcomes)
+        estimates_of = estimates(outcomes)
         planned = {
             place: plan
-            for place, trial in finalist_trials(scene, [*found, default]).items()
+            for place, trial in finalist_trials(scene, [*estimates_of, default]).items()
             if (plan := planned_of(values.get(trial))) is not None
         }
-        if default in planned and default not in found:
-            found[default] = placement_row(default, (b, c), {"reachable": None, "coverable": None}) | {
+        if default in planned and default not in estimates_of:
+            estimates_of[default] = placement_row(default, (b, c), {"reachable": None, "coverable": None}) | {
                 "home free": True
             }
         best = best_place(planned, default) if planned else None
-        return [row | planned_columns(planned.get(place)) | {"best": place == best} for place, row in found.items()]
+        return [
+            row | planned_columns(planned.get(place)) | {"best": place == best} for place, row in estimates_of.items()
+        ]
 
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(

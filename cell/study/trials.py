@@ -222,8 +222,8 @@ def run_trials(
             on_outcome(len(outcomes), len(distinct), outcome)
 
     for trial in distinct:
-        if (found := load(trial, folder)) is not None:
-            add(found)
+        if (cached_outcome := load(trial, folder)) is not None:
+            add(cached_outcome)
     missing = [trial for trial in distinct if trial not in outcomes]
     for outcome in workers.compute(missing) if missing else ():
         save(outcome, folder)

@@ -178,10 +178,10 @@ def _draw(
 def _points(inputs: PictureInputs, t: float, n_scans: int, newest: int | None) -> list[Piece]:
     """Return marks at the points of the first `n_scans` scans at a moment [s]; the newest scan is brighter."""
     T = inputs.cell.table_motion(inputs.playback.timeline.at(t)) @ inputs.cell.T_base_object
-    found = []
+    pieces = []
     for scan, points in enumerate(inputs.clouds[:n_scans]):
         if len(points):
             mesh = point_marks(points, 0.010 * inputs.part.diagonal / 2)
             colour = np.array((overlays.NEWEST if scan == newest else overlays.EARLIER)[:3])
-            found.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
-    return found
+            pieces.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
+    return pieces

@@ -295,7 +295,7 @@ def _characteristics(folder: Path) -> list[Mapping[str, object]]:
     elements: dict[str, list[Mapping[str, Any]]] = {}
     for element in results["features"]:
         elements.setdefault(element["feature"], []).append(element)
-    found = list[Mapping[str, object]]()
+    entries = list[Mapping[str, object]]()
     for each in results["characteristics"]:
         feature_elements, unit = elements[each["feature"]], each["unit"]
         rows = [("verdict", each["verdict"] + (f": {each['cause']}" if each["cause"] else ""))]
@@ -313,11 +313,11 @@ def _characteristics(folder: Path) -> list[Mapping[str, object]]:
             off = [row[3] for row in means]
             rows.append(("shown", f"{len(means)} means, {min(off):+.4f} (blue) to {max(off):+.4f} mm (red)"))
         place = feature_elements[0]["point_mm"]
-        found.append({
+        entries.append({
             "name": f"{each['name']} ({each['kind']})", "colour": VERDICTS[each["verdict"]], "rows": rows,
             "place": None if place is None else [value / 1000 for value in place], "points": means,
         })  # fmt: skip
-    return found
+    return entries
 
 
 def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, execution: Execution) -> PageSurface:

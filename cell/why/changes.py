@@ -71,15 +71,15 @@ class Changes:
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.cell.casters)
         selection = what_if.select_views(pairs, len(rows))
-        found = []
+        changes = []
         for count in sorted({1, len(selection)} if selection else ()):
             names = ", ".join(str(int(self.usable[view])) for view in selection[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
             poses, setting = T[np.array(selection[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
-            found.append(
+            changes.append(
                 PlanChange(ChangeKind.VIEW, count, sentence, setting, poses, self.cell.scanner, self.cell.casters)
             )
-        return found
+        return changes
 
     def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
         view = self.candidates
@@ -176,13 +176,13 @@ def ladder_masks(ladder: Sequence[PlanChange], targets: RayTargets, rows: Ints) 
     if not ladder or ladder[0].kind not in _LIMITS:
         return [step.measures(targets, rows) for step in ladder]
     final = ladder[-1].measures(targets, rows)
-    found = np.zeros(len(rows), dtype=np.bool_)
+    is_gained = np.zeros(len(rows), dtype=np.bool_)
     masks = []
     for step in ladder[:-1]:
-        ask = np.flatnonzero(final & ~found)
+        ask = np.flatnonzero(final & ~is_gained)
         if len(ask):
-            found[ask[step.measures(targets, rows[ask])]] = True
-        masks.append(found.copy())
+            is_gained[ask[step.measures(targets, rows[ask])]] = True
+        masks.append(is_gained.copy())
     return [*masks, final]
 
 
@@ -195,8 +195,8 @@ def _reachable(views: Viewpoints, world: World) -> Ints:
 
 
 def _distinct(values: Floats) -> Floats:
-    found: Floats = np.unique(values.round(6))
-    return found
+    unique: Floats = np.unique(values.round(6))
+    return unique
 
 
 _FARTHER = (1.1, 1.25, 1.5, 2.0)

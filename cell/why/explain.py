@@ -191,8 +191,8 @@ def _region_shares(samples: SurfaceSamples, rows: Ints, regions: Sequence[Region
 
 
 _ANGLES: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
-    Reason.GRAZING_SOURCE: (lambda found: found.grazing_source, "grazing_max_deg"),
-    Reason.GRAZING_SENSOR: (lambda found: found.grazing_sensor, "sensor_grazing_max_deg"),
+    Reason.GRAZING_SOURCE: (lambda diagnosis: diagnosis.grazing_source, "grazing_max_deg"),
+    Reason.GRAZING_SENSOR: (lambda diagnosis: diagnosis.grazing_sensor, "sensor_grazing_max_deg"),
 }
 
 
@@ -438,8 +438,8 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         groups = group_samples(
             samples, rows, diagnosis, what, cell.planning, cell.scanner_keys, cell.scene.regions or ()
         )
-        found = search_changes(changes, targets, samples, groups, progress)
-    return Analysis(canvas_of(cell.reference, samples), surface, rows, *found, cell.scene.part.name)
+        findings = search_changes(changes, targets, samples, groups, progress)
+    return Analysis(canvas_of(cell.reference, samples), surface, rows, *findings, cell.scene.part.name)
 
 
 def _with_executed_poses(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:

@@ -531,13 +531,13 @@ def _unsupported_group(world: World, solids: dict[str, Solid], group: set[str]) 
 
 def _connected(contacts: dict[str, set[str]], start: list[str], without: str = "") -> set[str]:
     """Return the objects that a chain of contacts connects with some objects, ignoring one object."""
-    found = {name for name in start if name != without}
-    ends = list(found)
+    names = {name for name in start if name != without}
+    ends = list(names)
     while ends:
-        for name in contacts[ends.pop()] - found - {without}:
-            found.add(name)
+        for name in contacts[ends.pop()] - names - {without}:
+            names.add(name)
             ends.append(name)
-    return found
+    return names
 
 
 class _Rest:

@@ -101,9 +101,9 @@ class EmbreeRayCaster:
             start, along = self._to_float32(origins[part]), _float32("directions", directions[part])
             if (np.abs(np.einsum("ij,ij->i", along, along) - 1) > 1e-4).any():
                 raise CellError("a ray's direction is not a unit vector; distances would not be in metres")
-            found = self._scene.run(start, along, output=True)
-            face[part] = found["primID"]
-            distance[part] = self._refined(origins[part], directions[part], found["primID"], found["tfar"])
+            hits = self._scene.run(start, along, output=True)
+            face[part] = hits["primID"]
+            distance[part] = self._refined(origins[part], directions[part], hits["primID"], hits["tfar"])
 
         self._split(trace, len(origins))
         return Hits(face, distance)

@@ -167,12 +167,12 @@ def _joints_between(model: mujoco.MjModel, one: int, other: int) -> list[int]:
 
 def _joints_above(model: mujoco.MjModel, body: int) -> list[int]:
     """Return the joints between a body and the world, nearest first."""
-    found: list[int] = []
+    joints: list[int] = []
     while body > 0:
         at = int(model.body_jntadr[body])
-        found += range(at, at + int(model.body_jntnum[body])) if at >= 0 else ()
+        joints += range(at, at + int(model.body_jntnum[body])) if at >= 0 else ()
         body = int(model.body_parentid[body])
-    return found
+    return joints
 
 
 def _farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> Floats:
@@ -185,13 +185,13 @@ def _farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> 
     """
     offset, radius = points[0] - anchors[-1], points[1]
     reach = float((np.linalg.norm(offset, axis=1) + radius).max())
-    found = np.empty(len(anchors))
-    found[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
+    distances = np.empty(len(anchors))
+    distances[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
     for i in range(len(anchors) - 2, -1, -1):
         step = anchors[i + 1] - anchors[i]
-        found[i] = np.linalg.norm(np.cross(step, lines[i])) + reach
+        distances[i] = np.linalg.norm(np.cross(step, lines[i])) + reach
         reach += float(np.linalg.norm(step))
-    return found
+    return distances
 
 
 def _points(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[Floats, Floats]:
@@ -408,14 +408,14 @@ def _excluded(model: mujoco.MjModel) -> set[frozenset[int]]:
 def checked_pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
     """Return the pairs (P, 2) of geoms that `mj_collision` checks: matching classes, not rigid, not excluded."""
     excluded = _excluded(model)
-    found = []
+    pairs = []
     for a, b in itertools.combinations(range(model.ngeom), 2):
         match = model.geom_contype[a] & model.geom_conaffinity[b] | model.geom_contype[b] & model.geom_conaffinity[a]
         bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
         rigid = model.body_weldid[bodies[0]] == model.body_weldid[bodies[1]]
         if match and not rigid and frozenset(bodies) not in excluded:
-            found.append((a, b))
-    return np.array(found, dtype=np.int32).reshape(-1, 2)
+            pairs.append((a, b))
+    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
 
 
 def motion_refinement(model: mujoco.MjModel, clearance: float, reduced: Mapping[tuple[int, int], float]) -> float:

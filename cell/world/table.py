@@ -213,7 +213,7 @@ def _pairs_in_reach(
 ) -> list[tuple[int, int]]:
     """Return checked pairs of a turned and a stationary geom that come near each other at some angle."""
     moves = model.body_treeid[model.geom_bodyid] >= 0
-    found = []
+    near_pairs = []
     for a, b in pairs[~moves[pairs].any(axis=1)]:
         stationary, turned = (a, b) if model.body_mocapid[model.geom_bodyid[a]] < 0 else (b, a)
         # The middle moves on a circle about the axis: over all angles the geom stays within a ball about its centre.
@@ -226,5 +226,5 @@ def _pairs_in_reach(
         else:
             near = np.linalg.norm(offset) < circle + pair_reach + model.geom_rbound[stationary]
         if near:
-            found.append((int(a), int(b)))
-    return found
+            near_pairs.append((int(a), int(b)))
+    return near_pairs

@@ -194,19 +194,19 @@ def solve_grouped(
     known = np.concatenate([first[row] + views for row, views in start.items()]) if start else np.empty(0, np.int64)
     covers = _GroupCovers(problem, loads, rng, solver, effort_budget)
     largest = sorted(zip(choices, reached, strict=True), key=lambda each: -float(each[1].sum()))
-    found, bound = covers.best_of([choice for choice, _ in largest], known, is_complete=is_complete, fast=fast)
+    best, bound = covers.best_of([choice for choice, _ in largest], known, is_complete=is_complete, fast=fast)
     if group_cost is not None:
-        found, bound = covers.with_group_costs(found, group_cost, fewest, FAST_SHARE if fast else 1.0)
-    used = np.unique(group[found.views])
-    covered = found.covered_area
+        best, bound = covers.with_group_costs(best, group_cost, fewest, FAST_SHARE if fast else 1.0)
+    used = np.unique(group[best.views])
+    covered = best.covered_area
     if problem.weights is not None and problem.max_views is None:  # the cover reports areas, and rows have weights
-        sums = np.asarray(problem.matrix[:, found.views].sum(axis=1, dtype=np.int64)).ravel()
+        sums = np.asarray(problem.matrix[:, best.views].sum(axis=1, dtype=np.int64)).ravel()
         covered = float(loads.weight_of(loads.satisfied(sums)).sum())
-    paid = covers.price(found, group_cost)
+    paid = covers.price(best, group_cost)
     return GroupedCover(
-        views={int(row): found.views[group[found.views] == row] - first[row] for row in used},
+        views={int(row): best.views[group[best.views] == row] - first[row] for row in used},
         group_bound=min(fewest, len(used)),
-        view_bound=min(bound.views, len(found.views)),
+        view_bound=min(bound.views, len(best.views)),
         covered_area=covered,
         loads=loads,
         targets=targets,
@@ -227,8 +227,8 @@ def fewest_views(
     covers = _GroupCovers(problem, GroupLoads(problem, targets), rng, "auto", effort_budget)
     if problem.costs is not None or not covers.allow_group_costs:
         return None
-    found = covers.solve(np.asarray(problem.allowed), FAST_SHARE, group_cost=_VIEWS_FIRST_GROUP_COST)
-    return len(np.unique(np.asarray(problem.group)[found.views])), len(found.views)
+    cover = covers.solve(np.asarray(problem.allowed), FAST_SHARE, group_cost=_VIEWS_FIRST_GROUP_COST)
+    return len(np.unique(np.asarray(problem.group)[cover.views])), len(cover.views)
 
 
 def fewest_groups(
@@ -360,10 +360,10 @@ class _GroupCovers:
     def with_group_costs(self, known: Cover, group_cost: float, fewest: int, share: float) -> tuple[Cover, _Bound]:
         """Return the cheapest cover if each group has a cost; at most as expensive as the known cover."""
         free = self.solve(self._allowed, share, start=known.views)
-        found = self.solve(self._allowed, share, start=known.views, group_cost=group_cost)
-        bound = _Bound.of_any([found])
+        answer = self.solve(self._allowed, share, start=known.views, group_cost=group_cost)
+        bound = _Bound.of_any([answer])
         bound = replace(bound, cost=max(bound.cost, free.cost_bound + fewest * group_cost))
-        return min(found, known, key=lambda cover: self.price(cover, group_cost) or 0.0), bound
+        return min(answer, known, key=lambda cover: self.price(cover, group_cost) or 0.0), bound
 
     def price(self, cover: Cover, group_cost: float | None) -> float | None:
         """Return the cost of views and groups; None if views have no costs."""
@@ -409,8 +409,8 @@ class _GroupCovers:
         )  # fmt: skip
         begin = np.searchsorted(numbers, start) if start is not None and len(start) and columns[start].all() else None
         solver, budget = ("exact", self._bound_budget) if bound_only else (self._solver, self._budget)
-        found = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
-        return replace(found, views=numbers[found.views])
+        cover = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
+        return replace(cover, views=numbers[cover.views])
 
     def _solve_choice(self, groups: tuple[int, ...], share: float, start: Ints) -> Cover:
         return self.solve(self._columns_of(groups), share, start=start)

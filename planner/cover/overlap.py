@@ -124,8 +124,8 @@ def _select_connected(
         inside = instance.restricted(rows, np.isin(np.arange(instance.n_columns), columns))
         inside = replace(inside, full=True)
         with budget.portion(0.5):
-            found = _improve_connected(inside, np.searchsorted(columns, fixed), rng, budget, 0)
-        selected = np.union1d(selected, columns[found])
+            improved = _improve_connected(inside, np.searchsorted(columns, fixed), rng, budget, 0)
+        selected = np.union1d(selected, columns[improved])
     return selected
 
 

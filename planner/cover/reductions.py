@@ -486,7 +486,7 @@ def _find_dominated(
     for j in range(len(sizes)):
         if sizes[j] == 0 or (drop_larger and is_dominated[j]):
             continue
-        found = 0
+        common = 0
         for at in range(of_start[rarest[j]], of_start[rarest[j] + 1]):
             other = of_member[at]
             if other == j or sizes[other] < sizes[j] or price[other] > price[j]:
@@ -505,8 +505,8 @@ def _find_dominated(
             if drop_larger:
                 is_dominated[other] = True
                 continue
-            found += 1
-            if found >= need[j]:
+            common += 1
+            if common >= need[j]:
                 is_dominated[j] = True
                 break
     return is_dominated

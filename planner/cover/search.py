@@ -270,8 +270,8 @@ class LocalSearch:
             self._waited += 1
             if numbers[BEST] < best:
                 best, self._waited = int(numbers[BEST]), 0
-                found = prune(instance, state.columns[BEST_MEMBER, : numbers[BEST_MEMBERS]])
-                budget.offer(self._names[found], instance.objective(found))
+                pruned = prune(instance, state.columns[BEST_MEMBER, : numbers[BEST_MEMBERS]])
+                budget.offer(self._names[pruned], instance.objective(pruned))
             elif self._waited == chunks:
                 break
             elif self._waited > self._patience:

@@ -173,12 +173,12 @@ def solve_instance(
     forced_cost = instance.objective(selected) - reduction.instance.objective(inner)
     if instance.objective(first) < instance.objective(selected):
         selected = first
-    found = instance.objective(selected) - forced_cost
+    objective = instance.objective(selected) - forced_cost
     min_columns = 0
     if relaxation and (limit := instance.max_columns) is not None:
         sizes = range(limit + 1)
-        min_columns = next(k for k in sizes if k == limit or relaxation.certified_uncovered(k) <= found)
-    return selected, forced_cost + min(budget.lower_bound, found), min_columns
+        min_columns = next(k for k in sizes if k == limit or relaxation.certified_uncovered(k) <= objective)
+    return selected, forced_cost + min(budget.lower_bound, objective), min_columns
 
 
 def _first_selection(

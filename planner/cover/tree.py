@@ -70,15 +70,15 @@ def close_gap(relaxation: Relaxation, budget: Budget) -> None:
             continue
         if counts_columns(instance):
             rows = (relaxation.multipliers > 0) | instance.maximises_area
-            found, is_complete = search_by_number(instance, rows, useful, target, budget)
+            selection, is_complete = search_by_number(instance, rows, useful, target, budget)
         else:
             budget.spend(12 * instance.n_entries)
             inside = Relaxation(instance.restricted(columns=useful))
             model = LinearModel(inside, _decisive_rows(relaxation))
-            found, is_complete = _search_by_programme(inside, model, target, budget)
-            found = None if found is None else core[found]
-        if found is not None:
-            budget.offer(found, instance.objective(found))
+            selection, is_complete = _search_by_programme(inside, model, target, budget)
+            selection = None if selection is None else core[selection]
+        if selection is not None:
+            budget.offer(selection, instance.objective(selection))
         elif is_complete:
             # Columns outside the core are no better; the tree may have found better areas than it began with.
             budget.raise_lower_bound(_target_objective(relaxation, budget) + 1)
@@ -130,9 +130,9 @@ def _search_by_programme(
         free = fixing == 0
         fractionality = np.where(free, np.abs(x - np.rint(x)), -1.0)
         if fractionality.max() <= INTEGRAL:
-            found = prune(instance, complete(instance, np.flatnonzero(x > 0.5)))
-            if instance.objective(found) <= target:
-                return found, False
+            rounded = prune(instance, complete(instance, np.flatnonzero(x > 0.5)))
+            if instance.objective(rounded) <= target:
+                return rounded, False
             if not free.any():
                 continue
             fractionality = np.where(free, x, -1.0)  # rows may be partly uncovered though columns are integral
@@ -178,8 +178,8 @@ def search_by_number(
     while budget.spend(12 * instance.n_entries):
         question = _Question(instance, rows, columns, size, allowed, budget)
         while (answer := question.answer(budget)) is not None:
-            found = names[answer]
-            better = prune(instance, complete(instance, found))
+            selection = names[answer]
+            better = prune(instance, complete(instance, selection))
             if instance.objective(better) > target:
                 break
             if not instance.maximises_area or not budget.offer(better, instance.objective(better)):
@@ -188,7 +188,7 @@ def search_by_number(
             question.set_allowed(allowed)
         if answer is None:
             return None, question.is_complete
-        new = np.flatnonzero(~instance.satisfied(found) & ~rows)
+        new = np.flatnonzero(~instance.satisfied(selection) & ~rows)
         priority = np.diff(instance.row_start)[new] if instance.full else -instance.units[new]
         count = max(MIN_ROWS, int(MORE_ROWS * rows.sum()))
         rows[new[np.argsort(priority, kind="stable")[:count]]] = True

@@ -70,9 +70,9 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     if face_count < 1:
         raise PlannerError(f"face_count is {face_count}; it must be at least 1")
     if (coarse := cluster_vertices(mesh, max(_MANY, _EACH * face_count))) is not None:
-        found = _decimate_clean(coarse, face_count)
-        if not _flaws(found, face_count)[0]:
-            return found
+        mesh_copy = _decimate_clean(coarse, face_count)
+        if not _flaws(mesh_copy, face_count)[0]:
+            return mesh_copy
     return _decimate_clean(_clean(mesh.vertices, mesh.faces), face_count)
 
 

@@ -166,30 +166,30 @@ class DirectionTable(Value):
         Exact rays decide where a node has a neighbour that differs from it.
         """
         rows = np.arange(len(self)) if rows is None else rows
-        poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
+        poses, result = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
             mark_rows(
-                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses, self.limits, found
+                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses, self.limits, result
             )  # fmt: skip
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
             for first in range(0, len(poses), together):
                 block = slice(first, first + together)
-                found[block] = in_view_matrix(self.targets, T_object_scanner[block], self.scanner, rows)
-            found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
-            found[:, ~self.nodes[rows].any(axis=1)] = 0
-        self._decide_edges(T_object_scanner, rows, found)
-        return np.asarray(found > 0)
+                result[block] = in_view_matrix(self.targets, T_object_scanner[block], self.scanner, rows)
+            result *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
+            result[:, ~self.nodes[rows].any(axis=1)] = 0
+        self._decide_edges(T_object_scanner, rows, result)
+        return np.asarray(result > 0)
 
-    def _decide_edges(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
-        """Decide `found` (n, m) by exact rays where a line of sight is near an edge."""
+    def _decide_edges(self, T_object_scanner: Floats, rows: Ints, result: Bytes) -> None:
+        """Decide `result` (n, m) by exact rays where a line of sight is near an edge."""
         source, sensor = (
             T_object_scanner[:, :3, :3] @ end + T_object_scanner[:, :3, 3]
             for end in (self.scanner.source, self.scanner.sensor)
         )
         part, *others = self.casters
-        pose, column = np.nonzero(found > 1)
-        mark = found[pose, column]
+        pose, column = np.nonzero(result > 1)
+        mark = result[pose, column]
         for bit, ends, casters in (
             (_SOURCE_PART, source, (part,)), (_SENSOR_PART, sensor, (part,)),
             (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
@@ -198,7 +198,7 @@ class DirectionTable(Value):
                 rays = np.flatnonzero(mark & bit)
                 is_blocked = caster.blocked(self.targets.lifted[rows[column[rays]]], ends[pose[rays]])
                 mark[rays[is_blocked]] = 0
-        found[pose, column] = mark
+        result[pose, column] = mark
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
         """Return (n, 18): rotation by columns, position, source and sensor of each pose."""
@@ -247,7 +247,7 @@ def _pack(free: Bytes) -> Bytes:
 
 def _edges(free: Bytes) -> Bools:
     """Return which nodes of (M, R, N, N) have a neighbour, in direction or range, that differs from them."""
-    found = np.zeros(free.shape, dtype=np.bool_)
+    is_edge = np.zeros(free.shape, dtype=np.bool_)
     every, ahead, behind = slice(None), slice(1, None), slice(None, -1)
     for one, two in (
         ((every, ahead, every, every), (every, behind, every, every)),
@@ -257,9 +257,9 @@ def _edges(free: Bytes) -> Bools:
         ((every, every, ahead, behind), (every, every, behind, ahead)),
     ):
         differs = free[one] != free[two]
-        found[one] |= differs
-        found[two] |= differs
-    return found
+        is_edge[one] |= differs
+        is_edge[two] |= differs
+    return is_edge
 
 
 def _cast(
@@ -320,23 +320,23 @@ def _subdivide(free: Bytes, step: int) -> None:
 @compiled
 def turn_nodes(nodes: Floats32, frames: Floats32, sample: Ints, node: Ints) -> Floats32:
     """Return the (n, 3) directions of nodes of samples in the object frame."""
-    found = np.empty((len(sample), 3), dtype=np.float32)
+    directions = np.empty((len(sample), 3), dtype=np.float32)
     for k in range(len(sample)):
         a, b, c = nodes[node[k], 0], nodes[node[k], 1], nodes[node[k], 2]
         frame = frames[sample[k]]
         for axis in range(3):
-            found[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
-    return found
+            directions[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
+    return directions
 
 
 @compiled
 def gather_blocks(frames: Floats32, rows: Ints) -> Floats32:
     """Return the frames of rows in blocks (B, 12, `_BLOCK`), filled up with zeros, which no pose measures."""
-    found = np.zeros(((len(rows) + _BLOCK - 1) // _BLOCK, 12, _BLOCK), dtype=np.float32)
+    blocks = np.zeros(((len(rows) + _BLOCK - 1) // _BLOCK, 12, _BLOCK), dtype=np.float32)
     for m in range(len(rows)):
         for k in range(12):
-            found[m // _BLOCK, k, m % _BLOCK] = frames[rows[m], k]
-    return found
+            blocks[m // _BLOCK, k, m % _BLOCK] = frames[rows[m], k]
+    return blocks
 
 
 @compiled
@@ -454,7 +454,7 @@ def sum_weights(
 @compiled
 def mark_rows(
     frames: Floats32, table: Bytes, near: Ints, near_table: Bytes, ranges: Floats32, rows: Ints, poses: Floats32,
-    limits: Floats32, found: Bytes,
+    limits: Floats32, result: Bytes,
 ) -> None:  # fmt: skip
     """Mark the rows that poses measure, with further marks where that is uncertain.
 
@@ -467,7 +467,7 @@ def mark_rows(
         rows: (m,) samples.
         poses: (n, 18) from `_packed`.
         limits: (13,) of the scanner.
-        found: (n, m), zeros, set to a mark where a pose measures a row.
+        result: (n, m), zeros, set to a mark where a pose measures a row.
     """
     nodes, squared = np.empty((2, _BLOCK), dtype=np.int32), np.empty((2, _BLOCK), dtype=np.float32)
     blocks = gather_blocks(frames, rows)
@@ -494,4 +494,4 @@ def mark_rows(
                         elif not state:
                             mark = 0
                             break
-                found[k, first + m] = mark
+                result[k, first + m] = mark

@@ -194,9 +194,9 @@ def simulate_executions(
     times = np.zeros(len(samples), dtype=np.int32)
     share = np.zeros(len(errors))
     for number, error in enumerate(errors):
-        found = find_measured(T_object_scanner @ error[:, None], samples, scanner, casters)
-        times += found
-        share[number] = samples.areas[found].sum() / samples.areas.sum()
+        is_measured = find_measured(T_object_scanner @ error[:, None], samples, scanner, casters)
+        times += is_measured
+        share[number] = samples.areas[is_measured].sum() / samples.areas.sum()
         if progress:
             progress(number + 1, len(errors))
     return times, share

@@ -193,23 +193,23 @@ class VisibilityMemo:
         """Return (S,) the samples that any of the views (n, K, 4, 4) [m] measures."""
         poses, K = flatten_poses(T_object_scanner), np.shape(T_object_scanner)[1]
         known = [self._results_of(view) for view in poses.reshape(-1, K, 4, 4)]
-        found = np.zeros(len(self._targets), dtype=np.bool_)
+        is_measured = np.zeros(len(self._targets), dtype=np.bool_)
         for results in known:
-            found |= results == _SEEN
+            is_measured |= results == _SEEN
 
         def rows_of(pose: int) -> Ints:
             results = known[pose // K]
             if pose % K == 0:
-                tested[:] = ~found & (results == _UNKNOWN)
+                tested[:] = ~is_measured & (results == _UNKNOWN)
                 results[tested] = _MISSED
             return in_view(self._targets, poses[pose], self._scanner, np.flatnonzero(tested & (results == _MISSED)))
 
-        tested = np.zeros_like(found)
+        tested = np.zeros_like(is_measured)
         for _, pose, row in visible_pairs(poses, self._targets, self._scanner, self._casters, rows_of, _OPEN_BUNDLE):
-            found[row] = True
+            is_measured[row] = True
             for number in np.unique(pose // K):
                 known[number][row[pose // K == number]] = _SEEN
-        return found
+        return is_measured
 
     def _results_of(self, view: Floats) -> NDArray[np.uint8]:
         """Return (S,) the known results of a view (K, 4, 4), moved to the end of the memory."""

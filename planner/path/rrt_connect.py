@@ -49,11 +49,11 @@ class _Tree:
 
     def branch(self, node: int) -> list[Floats]:
         """Return the configurations from the root to the node."""
-        found = []
+        configurations = []
         while node >= 0:
-            found.append(self.q[node])
+            configurations.append(self.q[node])
             node = int(self.parent[node])
-        return found[::-1]
+        return configurations[::-1]
 
 
 def rrt_connect(

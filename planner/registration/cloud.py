@@ -108,13 +108,13 @@ def point_spacing(points: Floats, scan: NDArray[np.integer] | None = None) -> fl
         scan: (N,) index of each point's scan; None takes all as one scan.
     """
     groups = [points] if scan is None else [points[scan == i] for i in np.unique(scan)]
-    found = [np.empty(0)]
+    by_scan = [np.empty(0)]
     for group in groups:
         if len(group) > 1:
             tree = cKDTree(group, balanced_tree=False, compact_nodes=False)  # several times faster to build
             distance = np.asarray(tree.query(group, 2, workers=2)[0])[:, 1]
-            found.append(distance[distance > 0])
-    distances = np.concatenate(found)
+            by_scan.append(distance[distance > 0])
+    distances = np.concatenate(by_scan)
     return float(np.median(distances)) if len(distances) else float("nan")
 
 
@@ -176,5 +176,5 @@ def _principal(
         parts = list(pool.map(chunk, range(0, len(rows), _CHUNK)))
     if not parts:
         return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.bool_)
-    found, along, is_sure = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return found, along, is_sure
+    estimates, along, is_sure = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return estimates, along, is_sure

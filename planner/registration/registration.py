@@ -134,7 +134,7 @@ class JointProblem:
 
     def match(self) -> list[Matches]:
         """Match at the current corrections, always the same points in the same order."""
-        found = []
+        matches = []
         if self._model is not None and self._to_model:
             clouds = [self.scans[i].points for i in self._to_model]
             closest = self._model.closest(np.concatenate(clouds))  # one call for all: the tree's threads start once
@@ -144,14 +144,14 @@ class JointProblem:
                 part = slice(start, start + len(points))
                 start += len(points)
                 scan_normals, foot, distance = self.scans[i].normals, closest.point[part], closest.distance[part]
-                found.append(self._weigh(i, -1, points, foot, smooth[part], scan_normals, distance, np.inf))
+                matches.append(self._weigh(i, -1, points, foot, smooth[part], scan_normals, distance, np.inf))
         for i, j in self.pairs:
             every = slice(None, None, self._stride[i])
             points = self.scans[i].points[every]
             distance, partner, normals = self.scans[j].nearest(points)
             limit = _MAX_OFFSET * self.scans[j].spacing
-            found.append(self._weigh(i, j, points, partner, normals, self.scans[i].normals[every], distance, limit))
-        return found
+            matches.append(self._weigh(i, j, points, partner, normals, self.scans[i].normals[every], distance, limit))
+        return matches
 
     def normal_equations(self, matches: Sequence[Matches]) -> tuple[Floats, Floats, Floats, Ints]:
         """Assemble the normal equations of all matches.
@@ -382,8 +382,8 @@ def placement_sd(points: Floats, nearest: ClosestPointQuery) -> tuple[float, flo
     np.add.at(b, block, J * off[:, None])
     for k in range(n):
         A[k] = J[block == k].T @ J[block == k]
-    found = np.stack([np.linalg.pinv(A.sum(axis=0) - A[k], 1e-6) @ (b.sum(axis=0) - b[k]) for k in range(n)])
-    covariance = (n - 1) / n * (found - found.mean(axis=0)).T @ (found - found.mean(axis=0))
+    estimates = np.stack([np.linalg.pinv(A.sum(axis=0) - A[k], 1e-6) @ (b.sum(axis=0) - b[k]) for k in range(n)])
+    covariance = (n - 1) / n * (estimates - estimates.mean(axis=0)).T @ (estimates - estimates.mean(axis=0))
     along, about = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
     return along, about / length
 

@@ -210,8 +210,8 @@ def solve_exactly(problem: Instance) -> TourSolution:
     """Find the optimum over all orders and nodes by dynamic programming over subsets; see `exact_effort`."""
     if problem.n_clusters == 1:
         return TourSolution(np.zeros(1, dtype=np.int64), 0.0, 0.0)
-    found = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
-    cost, tour = min(found, key=lambda pair: pair[0])
+    solutions = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
+    cost, tour = min(solutions, key=lambda pair: pair[0])
     return _solution(problem, tour, cost, cost)
 
 

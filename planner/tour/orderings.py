@@ -107,11 +107,11 @@ def order_views(
     baseline = _christofides(instance, T_base_scanner, T_base_home)
     starts = [baseline] if start is None else [baseline, _complete(instance, start)]
     best = int(np.argmin([gtsp.best_nodes(instance, order)[0] for order in starts]))
-    found = gtsp.solve(instance, starts[best], rng, budget, bound_effort, warm=best == 1)
+    solution = gtsp.solve(instance, starts[best], rng, budget, bound_effort, warm=best == 1)
     return OrderedViews(
-        **_order_of(instance, problem, found.cost, found.tour, optimal=found.optimal),
+        **_order_of(instance, problem, solution.cost, solution.tour, optimal=solution.optimal),
         baseline_duration=_time(gtsp.best_nodes(instance, baseline)[0]),
-        lower_bound=_time(found.lower_bound),
+        lower_bound=_time(solution.lower_bound),
     )
 
 
@@ -173,9 +173,9 @@ def overlapping_order(overlap: Bools) -> Ordering:
                 if trials <= 0 or not is_connected_order(overlap, trial):
                     continue
                 trials -= 1
-                found = gtsp.best_nodes(instance, trial + 1)
-                if found[0] < cost * (1 - 1e-12):
-                    (cost, tour), best = found, trial
+                solution = gtsp.best_nodes(instance, trial + 1)
+                if solution[0] < cost * (1 - 1e-12):
+                    (cost, tour), best = solution, trial
         return replace(free, **_order_of(instance, problem, cost, tour))
 
     return ordering

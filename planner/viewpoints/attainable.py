@@ -65,13 +65,13 @@ def probe_attainable(targets: RayTargets, evaluator: ViewEvaluator) -> Attainabl
                     aimed = transfer_poses(targets, rows, elements, known, _NEIGHBOURS, scanner)
                 else:
                     continue
-                found = poses_with_free_sight(aimed, targets, scanner, evaluator.casters)
-                visible[found.row] = True
-                found = _first_reachable(found, evaluator)
-                measured[found.row] = True
-                known = known.extend(found)
+                poses = poses_with_free_sight(aimed, targets, scanner, evaluator.casters)
+                visible[poses.row] = True
+                poses = _first_reachable(poses, evaluator)
+                measured[poses.row] = True
+                known = known.extend(poses)
                 still_open = np.flatnonzero(~measured)
-                few = evaluator.views(found.pick(np.arange(min(len(found), _SHARED))))
+                few = evaluator.views(poses.pick(np.arange(min(len(poses), _SHARED))))
                 measured[still_open] = evaluator.measured(few, targets, still_open).any(axis=1)
     return Attainable(measured, visible | measured)
 

@@ -106,7 +106,7 @@ class ViewEvaluator:
         """
         K = len(self.T_view_scanner)
         poses = (views[:, None] @ self.T_view_scanner).reshape(-1, 4, 4)
-        found = np.zeros((len(rows), len(views)), dtype=np.bool_)
+        is_measured = np.zeros((len(rows), len(views)), dtype=np.bool_)
         together = max(1, _PAIRS // max(len(rows), 1)) * K
         for first in range(0, len(poses), together):
             block = poses[first : first + together]
@@ -116,8 +116,8 @@ class ViewEvaluator:
                 visible[np.repeat(bound <= threshold[1], K)] = False
             pose, row = np.nonzero(visible)
             free = lines_of_sight_free(targets, block, pose, rows[row], self.scanner, self.casters)
-            found[row[free], (first + pose[free]) // K] = True
-        return found
+            is_measured[row[free], (first + pose[free]) // K] = True
+        return is_measured
 
 
 def grow(

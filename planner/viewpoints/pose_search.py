@@ -173,26 +173,26 @@ def search_poses(
     Returns:
         The result; Ctrl-C ends the search with the views so far.
     """
-    found = [pool.pick(initial)]
+    selections = [pool.pick(initial)]
     count, before_last_part = max(1, len(initial) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
     search = None
     try:
         with deferred_interrupt():
             search = _Search(pool, places, weights, effort, rng, pool_measured, progress)
-            while search.evaluated < before_last_part and len(found[-1]) > 1:
-                count = min(count, len(found[-1]) - 1)
-                fewer = search.repaired(found[-1], count, shortfall, before_last_part)
+            while search.evaluated < before_last_part and len(selections[-1]) > 1:
+                count = min(count, len(selections[-1]) - 1)
+                fewer = search.repaired(selections[-1], count, shortfall, before_last_part)
                 if fewer is not None:
-                    found.append(fewer)
+                    selections.append(fewer)
                 elif count > 1:
                     count //= 2
-            if len(found) > 1 and (moved := search.with_larger_area(found[-1], shortfall)) is not None:
-                found.append(moved)
+            if len(selections) > 1 and (moved := search.with_larger_area(selections[-1], shortfall)) is not None:
+                selections.append(moved)
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
-        return SearchResult(found, 0 if search is None else search.evaluated, is_interrupted=True)
-    return SearchResult(found, search.evaluated)
+        return SearchResult(selections, 0 if search is None else search.evaluated, is_interrupted=True)
+    return SearchResult(selections, search.evaluated)
 
 
 class _Search:
@@ -254,11 +254,11 @@ class _Search:
 
     def _measured(self, poses: SearchPoses) -> Bools:
         """Return (n, S) whether each pose measures each sample."""
-        found = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
+        is_measured = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
         for place in np.unique(poses.place):
             indices = np.flatnonzero(poses.place == place)
-            found[indices] = self.places[place].evaluator.measured(poses.T_object_scanner[indices])
-        return found
+            is_measured[indices] = self.places[place].evaluator.measured(poses.T_object_scanner[indices])
+        return is_measured
 
     def _sums(self, T: Floats, rows: Ints, starts: Ints, least: Floats) -> Floats:
         """Return (n, P) approximate weights of the open rows that proposals (n, P, 4, 4) of the views measure."""
@@ -353,11 +353,11 @@ class _Search:
         turn = rotation_matrices((2 * u[:, 3:6] - 1) * (_MAX_TURN * scale))
         R, t = (np.repeat(each, _PROPOSALS, axis=0) for each in (T[:, :3, :3], T[:, :3, 3]))
         aim = t + distance[:, None] * R[:, :, 2]
-        found = np.tile(np.eye(4), (n * _PROPOSALS, 1, 1))
-        found[:, :3, :3] = turn @ R
-        found[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
-        found[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
-        return found.reshape(n, _PROPOSALS, 4, 4)
+        proposals = np.tile(np.eye(4), (n * _PROPOSALS, 1, 1))
+        proposals[:, :3, :3] = turn @ R
+        proposals[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
+        proposals[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
+        return proposals.reshape(n, _PROPOSALS, 4, 4)
 
 
 @compiled
