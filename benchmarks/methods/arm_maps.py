@@ -27,7 +27,6 @@ from planner.values import Floats
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)
 _INNER = 0.95  # share of the joint range: poses near singularities and edges are not near the limits
 _SAME_POSE = 1e-9  # m and 1: two poses
-_SAME_BRANCH = 1e-3  # rad; distinct branches of one pose are farther apart
 _OURS = "closed form"
 _NUMERIC_STARTS, _NUMERIC_GOOD = 4, 1e-7  # starts of the numeric inverse; its tolerance in m and rad
 

@@ -121,7 +121,7 @@ def _plan_setups(
             )
     order = sorted(visible, key=lambda row: (candidates[row].run is None, -int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
-        _write_setup(outer, session, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
+        _write_setup(outer, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
     used = [(row, visible[row]) for row in order]
     file = _setups_file(session, settled, request, setups, cover, candidates, outcomes, used)
     views_first = None if alternative is None else ViewsFirst(setups=alternative[0], views=alternative[1])
@@ -201,9 +201,8 @@ def cause_of_omission(outcome: Setup | str, seen: Bools) -> str:
 
 
 def _write_setup(
-    outer: Session[None], session: PlanSession, surface: PartSurface, setup: Setup, connected: ConnectedSetup,
-    folder: Path,
-) -> None:  # fmt: skip
+    outer: Session[None], surface: PartSurface, setup: Setup, connected: ConnectedSetup, folder: Path
+) -> None:
     """Write the run folder of one set-up; copy that of a fixed one with its executions."""
     if isinstance(setup, FixedSetup):
         shutil.copytree(setup.run.folder, folder)
