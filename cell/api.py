@@ -553,8 +553,8 @@ def place(
     from cell.study.study import plan_command, scene_maker, study_folder
     from cell.study.trials import open_workers
 
-    where, rest = _split(keywords, PlaceKeywords, option_specs(PlaceRange))
-    run, scene, scene_options = _study_options(rest)
+    where, run_options = _split(keywords, PlaceKeywords, option_specs(PlaceRange))
+    run, scene, scene_options = _study_options(run_options)
     checked, folder = scene_maker(part, scene, scene_options)({}), study_folder("place", run.out)
     with open_workers(run.count, run.cluster, run.cluster_security) as workers:
         words, quiet = plan_command(part, scene, scene_options), lambda *_: None

@@ -198,10 +198,10 @@ def _without_hidden_bodies(content: bytes) -> tuple[bytes, int]:
     """
     if b"INVISIBILITY" not in content:
         return content, 0
-    entities = {number: (kind.upper(), rest) for number, kind, rest in _ENTITY.findall(content)}
+    entities = {number: (kind.upper(), parameters) for number, kind, parameters in _ENTITY.findall(content)}
     hidden: set[bytes] = set()
-    for kind, rest in entities.values():
-        todo = _REFERENCE.findall(rest) if kind == b"INVISIBILITY" else []
+    for kind, parameters in entities.values():
+        todo = _REFERENCE.findall(parameters) if kind == b"INVISIBILITY" else []
         while todo:
             number = todo.pop()
             kind_of, inside = entities.get(number, (b"", b""))
@@ -217,12 +217,12 @@ def _without_items(content: bytes, items: set[bytes]) -> bytes:
     """Remove items, by their numbers, from all shape representations of a STEP file."""
 
     def remaining(match: re.Match[bytes]) -> bytes:
-        number, kind, rest = match[1], match[2], match[3]
+        number, kind, parameters = match[1], match[2], match[3]
         if not kind.upper().endswith(b"SHAPE_REPRESENTATION"):
             return match[0]
-        head, opened, listed = rest.partition(b"(")
-        listed, closed, tail = listed.partition(b")")
-        references = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in items]
+        head, opened, item_list = parameters.partition(b"(")
+        item_list, closed, tail = item_list.partition(b")")
+        references = [item for item in item_list.split(b",") if item.strip().lstrip(b"#") not in items]
         return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(references) + closed + tail + b");"
 
     return _ENTITY.sub(remaining, content)
@@ -238,14 +238,14 @@ def _solids_and_sheets(content: bytes) -> list[bytes]:
     Surfaces beside a solid can cover it or share its edges, so the triangles of both together are not closed. The
     tessellated copy of an exact solid is left out.
     """
-    entities = {number: (kind.upper(), rest) for number, kind, rest in _ENTITY.findall(content)}
-    listed = {
+    entities = {number: (kind.upper(), parameters) for number, kind, parameters in _ENTITY.findall(content)}
+    shape_items = {
         item
-        for kind, rest in entities.values()
+        for kind, parameters in entities.values()
         if kind.endswith(b"SHAPE_REPRESENTATION")
-        for item in _REFERENCE.findall(rest.partition(b"(")[2].partition(b")")[0])
+        for item in _REFERENCE.findall(parameters.partition(b"(")[2].partition(b")")[0])
     }
-    kinds = {item: entities.get(item, (b"", b""))[0] for item in listed}
+    kinds = {item: entities.get(item, (b"", b""))[0] for item in shape_items}
     solids = {item for item, kind in kinds.items() if kind.endswith(_SOLIDS)}
     copies = {
         item for item in solids

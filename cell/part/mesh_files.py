@@ -168,11 +168,11 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
     if announced and len(content) >= _STL_HEADER + announced * _STL_FACE:
-        rest = content[_STL_HEADER + announced * _STL_FACE :]
-        if len(rest) >= _STL_FACE and rest.strip(b"\0"):
+        trailer = content[_STL_HEADER + announced * _STL_FACE :]
+        if len(trailer) >= _STL_FACE and trailer.strip(b"\0"):
             raise FileError(
-                f"{path} announces {announced} faces but has {len(rest)} bytes behind them, the size of "
-                f"{len(rest) // _STL_FACE} more; export all bodies again, in one file"
+                f"{path} announces {announced} faces but has {len(trailer)} bytes behind them, the size of "
+                f"{len(trailer) // _STL_FACE} more; export all bodies again, in one file"
             )
         rows = np.frombuffer(content, _STL_ROW, announced, _STL_HEADER)
         return rows["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * announced).reshape(-1, 3)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
+from cell.formatting import comma_list
 from cell.plan import files, pipeline
 from cell.plan.candidates import (
     Cell,
@@ -469,12 +470,8 @@ def check_edit(edit: Edit, n_views: int, n_candidates: int) -> None:
         raise UsageError("the edit leaves no view; keep at least one")
     if edit.order and sorted(edit.order) != views:
         missing, extra = sorted({*views} - {*edit.order}), sorted({*edit.order} - {*views})
-        problem = f"leaves out {_listed(missing)}" if missing else f"names {_listed(extra)}"
-        raise UsageError(f"the order {problem}; it must name each of the views {_listed(views)} once")
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, numbers))
+        problem = f"leaves out {comma_list(missing)}" if missing else f"names {comma_list(extra)}"
+        raise UsageError(f"the order {problem}; it must name each of the views {comma_list(views)} once")
 
 
 def _order(edit: Edit, candidate_of: Mapping[int, int], n_views: int) -> tuple[int, ...] | None:

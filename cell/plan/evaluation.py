@@ -472,19 +472,19 @@ def attainable_coverage(
     """
     known, samples = problem.prediction, problem.prediction.samples
     is_known = np.asarray(known.coverable.covered | visible.covered)
-    rest = np.flatnonzero(~is_known)
+    unknown_rows = np.flatnonzero(~is_known)
     total = float(samples.areas.sum())
-    left = float(samples.areas[rest].sum()) / total
+    left = float(samples.areas[unknown_rows].sum()) / total
     # A share that is estimated from n samples has a standard error of at most 1 / (2 sqrt(n)).
     count = max(_LEAST_SEARCHED, int(np.ceil((left / (2 * _ATTAINABLE_ERROR)) ** 2)))
-    sample_rows = np.sort(rng.permutation(rest)[: min(count, problem.request.effort.searched_samples)])
+    sample_rows = np.sort(rng.permutation(unknown_rows)[: min(count, problem.request.effort.searched_samples)])
     searched = pick_samples(samples, sample_rows)
     probe = probe_attainable(
         RayTargets.of(searched.points, searched.normals, searched.region),
         view_evaluator(problem.cell, known.scanner, known.casters),
     )
-    share = estimated_share(probe.measured, len(rest))
-    out_of_reach = estimated_share(probe.visible & ~probe.measured, len(rest)).value
+    share = estimated_share(probe.measured, len(unknown_rows))
+    out_of_reach = estimated_share(probe.visible & ~probe.measured, len(unknown_rows)).value
     return schema.Attainable(
         share=float(samples.areas[is_known].sum()) / total + left * share.value,
         standard_error=left * share.standard_error,

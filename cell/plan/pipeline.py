@@ -356,9 +356,9 @@ def select_and_connect(
     choice, search = start, None
     if append is not None and is_searched:
         with _search_stage(session, len(start[1].cover.views)) as report:
-            draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
+            search_rng, comparison_rng = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
             moved_problem, moved, search = search_views(
-                *start, surface, append, draws, others, rng, report, is_allowed=is_allowed
+                *start, surface, append, search_rng, comparison_rng, rng, report, is_allowed=is_allowed
             )
             choice = moved_problem, moved
     initial = start

@@ -639,10 +639,12 @@ def measure_rows(measured: MeasuredSet, usable: Bools, samples: SurfaceSamples) 
     """Return the matrix of further samples for (V,) usable candidates, with occluders and limit on sigma applied."""
     columns, total, known = np.flatnonzero(usable), len(measured.candidates), measured.prediction
     candidates, scanner = pick_viewpoints(measured.candidates, columns), known.scanner
-    part, others = known.casters
-    M = apply_occluders(fill_matrix(candidates, samples, scanner, part), candidates, scanner, others, ray_caster=part)
+    part, occluders = known.casters
+    M = apply_occluders(
+        fill_matrix(candidates, samples, scanner, part), candidates, scanner, occluders, ray_caster=part
+    )
     if measured.M.sigma is not None:
-        M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, others))
+        M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, occluders))
     return spread_measurability(M, columns, total)
 
 

@@ -316,9 +316,9 @@ def uncovered_surface(
     samples = setups[used[0]].measured.prediction.samples
     has_candidate = ~seen & np.logical_or.reduce([setup.coverable for setup in setups.values()])
     contact = ~seen & ~has_candidate & np.logical_and.reduce([setups[row].contact for row in used])
-    rest = np.flatnonzero(~seen & ~has_candidate & ~contact)
+    uncovered_rows = np.flatnonzero(~seen & ~has_candidate & ~contact)
     rng = session.rng(Stream.ATTAINABLE_SAMPLES)
-    rows = np.sort(rng.permutation(rest)[: session.effort.searched_samples])
+    rows = np.sort(rng.permutation(uncovered_rows)[: session.effort.searched_samples])
     measured, visible = np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
     for row in used:
         if not isinstance(setup := setups[row], PlannedSetup):
@@ -329,9 +329,9 @@ def uncovered_surface(
         probe = probe_attainable(targets, setup.evaluator(searched))
         measured[free] |= probe.measured
         visible[free] |= probe.visible
-    left = len(rest) / len(samples)  # samples stand for equal areas
+    left = len(uncovered_rows) / len(samples)  # samples stand for equal areas
     out_of_reach, other_poses, out_of_sight = (
-        estimated_share(hits, len(rest)) for hits in (visible & ~measured, measured, ~visible)
+        estimated_share(hits, len(uncovered_rows)) for hits in (visible & ~measured, measured, ~visible)
     )
     return UncoveredShares(
         not_selected=float(has_candidate.mean()),

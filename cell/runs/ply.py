@@ -75,8 +75,8 @@ def file_pieces(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]
         header.append(f"element {element} {len(rows)}")
         for name, (kind, *_) in (rows.dtype.fields or {}).items():
             if name != _CORNERS:
-                listed = "list uchar " if kind.shape else ""
-                header.append(f"property {listed}{_NAMES[kind.base.str]} {name}")
+                prefix = "list uchar " if kind.shape else ""
+                header.append(f"property {prefix}{_NAMES[kind.base.str]} {name}")
     yield ("\n".join([*header, "end_header"]) + "\n").encode("ascii")
     for rows in elements.values():
         yield rows.tobytes()

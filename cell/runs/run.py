@@ -713,10 +713,10 @@ def npz_arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
 def _require_size(content: bytes) -> None:
     """Check the announced sizes of an .npz before anything is allocated: a few bytes may announce gigabytes."""
     with zipfile.ZipFile(io.BytesIO(content)) as members:
-        listed = members.infolist()
-        if sum(member.file_size for member in listed) > max(_SMALL, _MAX_EXPANSION * len(content)):
+        entries = members.infolist()
+        if sum(member.file_size for member in entries) > max(_SMALL, _MAX_EXPANSION * len(content)):
             raise ValueError("is larger, uncompressed, than a run folder's files")
-        for member in listed:
+        for member in entries:
             with members.open(member) as file:
                 version = np.lib.format.read_magic(file)
                 header = (
@@ -764,5 +764,5 @@ def _missing_folder(folder: Path) -> str:
         return f"{folder} does not exist, but {unfinished} does: a run that did not finish; give that name to see it"
     parent = folder.parent
     runs = sorted(path.parent.name for path in parent.glob("*/manifest.json")) if parent.is_dir() else []
-    others = f"; run folders next to it: {', '.join(runs[-3:])}" if runs else ""
-    return f"the run folder {folder} does not exist; give the folder that cell plan made{others}"
+    hint = f"; run folders next to it: {', '.join(runs[-3:])}" if runs else ""
+    return f"the run folder {folder} does not exist; give the folder that cell plan made{hint}"

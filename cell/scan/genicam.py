@@ -181,10 +181,12 @@ def _select(devices: Sequence[Any], identity: str, errors: _Errors) -> tuple[Any
     matches = [k for k, each in enumerate(known) if not identity or identity in [each.get(key) for key in _IDENTITIES]]
     if len(matches) == 1:
         return devices[matches[0]], names[matches[0]]
-    listed = "; ".join(f"{each.get('id_', '?')} ({name})" for each, name in zip(known, names, strict=True)) or "none"
+    device_list = (
+        "; ".join(f"{each.get('id_', '?')} ({name})" for each, name in zip(known, names, strict=True)) or "none"
+    )
     count = "several GenICam devices match" if matches else "no GenICam device matches"
     keys = "id, serial number, user-defined name or model"
-    raise UsageError(f"{count} --acquire genicam:{identity}; give the {keys} of one; found: {listed}")
+    raise UsageError(f"{count} --acquire genicam:{identity}; give the {keys} of one; found: {device_list}")
 
 
 def _set(nodes: Any, features: Sequence[tuple[str, str]], errors: _Errors) -> None:

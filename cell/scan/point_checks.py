@@ -104,8 +104,8 @@ def _hypotheses(
         yield cause, scaled(np.where(np.arange(3) == k, -1.0, 1.0))
     for frame in FRAMES:
         if frame != given_frame:
-            others = [_T_object(scan, frame, cell) for scan in scans]
-            moved = [transform_points(T, points) for T, points in zip(others, raw, strict=True)]
+            other_poses = [_T_object(scan, frame, cell) for scan in scans]
+            moved = [transform_points(T, points) for T, points in zip(other_poses, raw, strict=True)]
             yield f"they are in the {frame} frame, not in the {given_frame} frame", moved
 
 

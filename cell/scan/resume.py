@@ -38,8 +38,10 @@ class RemainingMotion:
     def notes(self, n_scanned: int, checker: MujocoCollisionChecker) -> list[str]:
         """Return notes about the views and the approach path; `n_scanned` views are confirmed."""
         stops = self.plan.stops
-        listed = ", ".join(str(stop) for stop in stops[:_N_LISTED]) + (", ..." if len(stops) > _N_LISTED else "")
-        notes = [f"{n_scanned} views are scanned already; {len(stops)} remain" + (f" ({listed})" if listed else "")]
+        stop_list = ", ".join(str(stop) for stop in stops[:_N_LISTED]) + (", ..." if len(stops) > _N_LISTED else "")
+        notes = [
+            f"{n_scanned} views are scanned already; {len(stops)} remain" + (f" ({stop_list})" if stop_list else "")
+        ]
         if self.approach_path is not None:
             goal = f"view {stops[0]}" if stops else "home"
             moves = len(self.approach_path) - 1
@@ -81,22 +83,22 @@ def plan_resume(
         next((index for index, segment in enumerate(segments) if not segment.stop), len(segments)),
     )
     # Later confirmed views (the scan of an earlier one is damaged) are passed without a scan.
-    rest = tuple(
+    remaining_segments = tuple(
         replace(segment, stop=0, view=-1, pose=0) if segment.stop in scanned_stops else segment
         for segment in segments[first:]
     )
-    if not rest:
+    if not remaining_segments:
         return RemainingMotion(ExecutionPlan(state.q, (), 0.0), None)
     before = segments[first - 1].via[-1] if first else plan.start
     approach: Floats | None = None
     if not is_at(before, state):
-        segment = rest[0]
+        segment = remaining_segments[0]
         if is_at(segment.via[-1], state):  # it arrived, and the scan was lost
-            rest = (replace(segment, via=segment.via[-1:]), *rest[1:])
+            remaining_segments = (replace(segment, via=segment.via[-1:]), *remaining_segments[1:])
         else:
             approach = _approach_path(segment, state, checker, limits, seed)
-            rest = (replace(segment, via=approach[1:]), *rest[1:])
-    return RemainingMotion(ExecutionPlan(state.q, rest, plan.planned_seconds), approach)
+            remaining_segments = (replace(segment, via=approach[1:]), *remaining_segments[1:])
+    return RemainingMotion(ExecutionPlan(state.q, remaining_segments, plan.planned_seconds), approach)
 
 
 def _approach_path(

@@ -131,9 +131,9 @@ class Mount(Posed):
         import numpy as np  # the start-up of the command line does without it
 
         replaced = {"matrix_mm": ("position_mm", "abc_deg", "quaternion"), "quaternion": ("abc_deg",)}
-        for key, others in replaced.items():
+        for key, alternatives in replaced.items():
             if getattr(self, key) is not None and (
-                conflicts := [each for each in others if each in self.model_fields_set]
+                conflicts := [each for each in alternatives if each in self.model_fields_set]
             ):
                 raise ValueError(f".{key} is given together with {conflicts[0]}; give the pose in one form")
         if self.quaternion is not None and abs(float(np.linalg.norm(self.quaternion)) - 1) > _ROTATION_TOLERANCE:
@@ -516,8 +516,8 @@ class PlanSettings(PlanKeys):
 
     def with_views(self, views: Sequence[int], n_candidates: int) -> Self:
         """Return settings that select exactly these of the candidates."""
-        others = tuple(sorted(set(range(n_candidates)).difference(views)))
-        return self.without_selection().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
+        banned = tuple(sorted(set(range(n_candidates)).difference(views)))
+        return self.without_selection().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": banned})
 
     def with_order_of(self, other: Self) -> Self:
         """Return the settings with the overlap of other ones, if the order of visits has to keep it."""

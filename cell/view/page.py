@@ -142,8 +142,8 @@ def first_half(scene: PageScene) -> str:
 def second_half(contents: PageContents) -> str:
     """Return the HTML text from the contents on."""
     script = resource_text("page.js") + resource_text("tools.js")
-    rest = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=script)
-    return _dump_json(_contents_json(contents)) + rest
+    tail = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=script)
+    return _dump_json(_contents_json(contents)) + tail
 
 
 def page_head(title: str, css: str, policy: str) -> str:

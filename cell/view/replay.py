@@ -140,9 +140,9 @@ def _start(timeline: Timeline, view: int | None) -> float:
         return 0.0
     numbers = [stop.number for stop in timeline.stops]
     if view not in numbers:
-        listed = ", ".join(str(number) for number in numbers)
+        number_list = ", ".join(str(number) for number in numbers)
         is_complete = numbers == list(range(1, len(numbers) + 1))
-        valid = f"1 to {len(numbers)}, in visiting order" if is_complete else f"{listed}, as scanned"
+        valid = f"1 to {len(numbers)}, in visiting order" if is_complete else f"{number_list}, as scanned"
         raise UsageError(f"--view {view} is not a view of this run; valid are {valid if numbers else 'none'}")
     return timeline.stops[numbers.index(view)].begin
 

@@ -271,7 +271,7 @@ def execution_contents(run: Run, recorded: RecordedExecution, execution: Executi
         ("sampled coverage", _format_percent(coverage.sampled)),
         *([("dense coverage", _format_percent(coverage.dense))] if coverage.dense is not None else []),
     ]
-    listed = _characteristics(execution.folder) if execution.has("features.json") else ()
+    characteristics = _characteristics(execution.folder) if execution.has("features.json") else ()
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
         rows += [("", deviation.edge_note)] if deviation.edge_note else []
@@ -280,8 +280,8 @@ def execution_contents(run: Run, recorded: RecordedExecution, execution: Executi
         notes.append(_thinning_note(MAX_POINTS, report.n_points, "points"))
     commands = ["cell replay RUN --execution EXECUTION", "cell scan RUN"]
     return PageContents(
-        page_views, (timeline.t, timeline.q), rows=rows, characteristics=listed, notes=notes, next_commands=commands,
-        folder_depth=2,
+        page_views, (timeline.t, timeline.q), rows=rows, characteristics=characteristics, notes=notes,
+        next_commands=commands, folder_depth=2,
     )  # fmt: skip
 
 

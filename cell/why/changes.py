@@ -91,13 +91,13 @@ class Changes:
             else view
         )
         apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
-        listed = ",".join(f"{roll:g}" for roll in rolls_deg)
+        standoff_list = ",".join(f"{roll:g}" for roll in rolls_deg)
         yield [
             self._reached(
                 ChangeKind.ROLL,
                 apart[roll],
                 f"a roll of {roll:g} deg",
-                f"--roll {listed},{roll:g}" if few else "",
+                f"--roll {standoff_list},{roll:g}" if few else "",
                 what_if.with_roll(base, np.radians(roll)),
             )
             for roll in sorted(_ROLLS_DEG, key=lambda roll: (apart[roll], roll))
@@ -108,14 +108,14 @@ class Changes:
         few = len(standoffs) <= 4
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
         base = pick_viewpoints(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
-        listed = ",".join(f"{standoff:g}" for standoff in standoffs)
+        standoff_list = ",".join(f"{standoff:g}" for standoff in standoffs)
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
             self._reached(
                 ChangeKind.STANDOFF,
                 abs(factor - 1),
                 f"standoff {other:g} mm in addition to {now:g}" if few else f"standoff {other:g} mm for all candidates",
-                f"--standoff {listed},{other:g}" if few else f"--standoff {other:g}",
+                f"--standoff {standoff_list},{other:g}" if few else f"--standoff {other:g}",
                 what_if.with_standoff(base, other / 1000),
             )
             for factor in _STANDOFFS

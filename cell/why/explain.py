@@ -527,10 +527,10 @@ def table_rows(report: WhyReport) -> list[tuple[str, str, str, str]]:
         x, y, z = (round(value) for value in group.patches[0].centre_mm)
         where = f"near ({x}, {y}, {z})" + (f"\n{group.n_patches} places" * (group.n_patches > 1))
         rows.append((reason, _area(group.share, group.area_mm2), where, _lines(group.changes[:_CHANGES])))
-    rest = report.groups[_ROWS:]
-    if rest:
-        share, area = sum(group.share for group in rest), sum(group.area_mm2 for group in rest)
-        rows.append((f"{len(rest)} smaller groups", _area(share, area), "", "see why.json"))
+    small_groups = report.groups[_ROWS:]
+    if small_groups:
+        share, area = sum(group.share for group in small_groups), sum(group.area_mm2 for group in small_groups)
+        rows.append((f"{len(small_groups)} smaller groups", _area(share, area), "", "see why.json"))
     if report.uncoverable and len(report.groups) > 1:
         area = report.uncoverable * report.area_mm2
         helps = _lines(report.best_changes)

@@ -521,8 +521,8 @@ def _unsupported_group(world: World, solids: dict[str, Solid], group: set[str]) 
     gaps = {name: _Rest(solids[name], others, world.floor, _FINE_GRID).gap() for name in solids if name in group}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    rest = [_object_name(world, each) for each in solids if each in group and each != name]
-    with_others = f" (with {', '.join(rest)})" if rest else ""
+    other_names = [_object_name(world, each) for each in solids if each in group and each != name]
+    with_others = f" (with {', '.join(other_names)})" if other_names else ""
     return (
         f"{_object_name(world, name)}{with_others} has no support: it is {1000 * gap:.1f} mm above "
         f"{_object_name(world, below)}; {_move_object(world, name, np.array([0.0, 0.0, -gap]))}"

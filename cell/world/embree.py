@@ -180,9 +180,9 @@ class EmbreeRayCaster:
         slices = [slice(count * part // parts, count * (part + 1) // parts) for part in range(parts)]
         if parts > 1:
             with ThreadPoolExecutor(parts - 1) as pool:
-                others = pool.map(trace, slices[1:])
+                tasks = pool.map(trace, slices[1:])
                 trace(slices[0])
-                list(others)
+                list(tasks)
         elif count:
             trace(slices[0])
 

@@ -106,11 +106,11 @@ class SelfOcclusion:
                 result = OcclusionUpdate.LESS_MEASURED
         return result
 
-    def occludes_no_more(self, view: int, q: Floats, others: Floats) -> Bools:
+    def occludes_no_more(self, view: int, q: Floats, alternatives: Floats) -> Bools:
         """Return (n,) whether the arm at others (n, axes) hides only samples that it also hides at q (axes,) [rad]."""
         rows = np.asarray(self.M.matrix().tocsc()[:, [view]].indices, dtype=np.int64)
         hidden = ~self._visible(view, q, rows)
-        return np.array([(self._visible(view, other, rows) | hidden).all() for other in others], dtype=np.bool_)
+        return np.array([(self._visible(view, other, rows) | hidden).all() for other in alternatives], dtype=np.bool_)
 
     def _restrict_configurations(self, view: int, needed: Ints) -> bool:
         """Keep the configurations that hide at most `MAX_OCCLUDED_SHARE` of the needed samples, if there are any."""

@@ -203,8 +203,8 @@ def make_cover(
             forced = form.forced_columns
             per_group = int(instance.group_costs.max(initial=0))
             highest = int(np.delete(instance.costs, forced).max(initial=1)) + per_group
-            rest = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
-            bound = len(forced) + max(-(-rest // highest), 0)
+            remaining_cost = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
+            bound = len(forced) + max(-(-remaining_cost // highest), 0)
         lower_bound = len(idle) + bound
     if not instance.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
