@@ -107,7 +107,7 @@ class SelfOcclusion:
         return result
 
     def occludes_no_more(self, view: int, q: Floats, alternatives: Floats) -> Bools:
-        """Return (n,) whether the arm at others (n, axes) hides only samples that it also hides at q (axes,) [rad]."""
+        """Return (n,) whether the arm at (n, axes) alternatives hides only what it hides at q (axes,) too [rad]."""
         rows = np.asarray(self.M.matrix().tocsc()[:, [view]].indices, dtype=np.int64)
         hidden = ~self._visible(view, q, rows)
         return np.array([(self._visible(view, other, rows) | hidden).all() for other in alternatives], dtype=np.bool_)

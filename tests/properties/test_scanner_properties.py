@@ -86,7 +86,7 @@ def test_sigma_grows_with_noise_and_shrinks_with_the_baseline_on_the_axis(z, til
 
 
 def test_an_arm_never_adds_a_sample_and_occludes_only_its_own_view():
-    """`own` occluders: the rows of views with their own caster equal those of a common one, view by view."""
+    """The rows of views with their own caster (`own_occluders`) equal those of a common one, view by view."""
     ball = trimesh.creation.icosphere(2, 0.05)
     part = TriangleMesh(ball.vertices, ball.faces)
     caster = EmbreeRayCaster(part.vertices, part.faces)
