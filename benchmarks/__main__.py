@@ -93,8 +93,8 @@ def main(
     charts: Annotated[Path | None, typer.Option(help="draw the charts into this folder")] = None,
 ) -> None:
     """Run benchmarks and print one table each."""
-    chosen = names or list(REGISTRY)
-    unknown = sorted(set(chosen) - set(REGISTRY))
+    selection = names or list(REGISTRY)
+    unknown = sorted(set(selection) - set(REGISTRY))
     if unknown:
         raise typer.BadParameter(f"no benchmark named {', '.join(unknown)}; there are {', '.join(REGISTRY)}")
     console = Console() if sys.stdout.isatty() else Console(width=200)
@@ -103,7 +103,7 @@ def main(
         + ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco", "embreex"))
     )
     results: dict[str, list[dict[str, Any]]] = {}
-    for name in chosen:
+    for name in selection:
         if name in STUDIES:
             run_study(name, [])
             continue

@@ -63,12 +63,12 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    named = list(dict.fromkeys(row["part"] for row in rows))
-    across = 4 if len(named) > 6 else 3
-    down = -(-len(named) // across)
+    part_names = list(dict.fromkeys(row["part"] for row in rows))
+    across = 4 if len(part_names) > 6 else 3
+    down = -(-len(part_names) // across)
     figure = Figure(figsize=(3.4 * across, 2.6 * down + 0.8), dpi=110, layout="constrained")
     panels = figure.subplots(down, across, squeeze=False).flat
-    for axis, part in zip(panels, named, strict=False):
+    for axis, part in zip(panels, part_names, strict=False):
         for row in (row for row in rows if row["part"] == part):
             colour = _COLOURS[row["candidates"]]
             curve = row["curve"]
@@ -88,7 +88,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         axis.tick_params(labelsize=8)
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
-    for axis in list(figure.axes)[len(named) :]:
+    for axis in list(figure.axes)[len(part_names) :]:
         axis.set_visible(False)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9.5)
@@ -164,8 +164,8 @@ class Bench:
             added = generators.grow_viewpoints(views, reached.reachable, scouts, self.arm())
             views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
         M = self.measure(views)
-        chosen = self.choose(M, reached, 1.0)
-        return views, reached, M, chosen, perf_counter() - start
+        plan = self.choose(M, reached, 1.0)
+        return views, reached, M, plan, perf_counter() - start
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
         """Return the fewest views for a share of the coverable area."""
@@ -185,14 +185,14 @@ def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
             seconds[generator] = min(seconds[generator], found[generator][-1])
     zone_area = found["optimal-scanning-zone"][3].covered_area
     rows = []
-    for generator, (views, reached, M, chosen, _) in found.items():
+    for generator, (views, reached, M, plan, _) in found.items():
         seen = find_measured(
-            views.T_object_scanner[chosen.views], bench.held_out, bench.scanner, bench.casters, each=True
+            views.T_object_scanner[plan.views], bench.held_out, bench.scanner, bench.casters, each=True
         )
         curve = 100 * np.logical_or.accumulate(seen, axis=1).mean(axis=0)
         reachable = views.T_object_scanner[reached.reachable]
         coverable = coverage.visible_coverage(reachable, bench.held_out, bench.scanner, bench.casters).fraction
-        same = bench.choose(M, reached, min(1.0, zone_area / chosen.covered_area))
+        same = bench.choose(M, reached, min(1.0, zone_area / plan.covered_area))
         rows.append(
             {
                 "part": name,
@@ -200,11 +200,11 @@ def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
                 "number": len(views),
                 "reachable": int(reached.reachable.sum()),
                 "s": round(seconds[generator], 3),
-                "views": len(chosen.views),
-                "bound": chosen.lower_bound,
+                "views": len(plan.views),
+                "bound": plan.lower_bound,
                 "coverable %": round(100 * coverable, 2),
                 "visible %": round(float(curve[-1]), 2),
-                "views for the zone's area": len(same.views) if chosen.covered_area >= zone_area * (1 - 1e-9) else None,
+                "views for the zone's area": len(same.views) if plan.covered_area >= zone_area * (1 - 1e-9) else None,
                 "curve": [round(float(value), 2) for value in curve],
             }
         )

@@ -43,7 +43,7 @@ def run_cell(
         process.returncode = os.waitstatus_to_exitcode(status)
     seconds = perf_counter() - start
     if process.returncode not in _GOOD:
-        message = err.read_text().strip().splitlines()
-        raise CellError(message[-1] if message else f"cell {arguments[0]} ended with code {process.returncode}")
+        messages = err.read_text().strip().splitlines()
+        raise CellError(messages[-1] if messages else f"cell {arguments[0]} ended with code {process.returncode}")
     took = {"s": seconds, "cpu s": usage.ru_utime + usage.ru_stime, "peak MB": usage.ru_maxrss // 1024}
     return json.loads(out.read_text()), took

@@ -19,7 +19,7 @@ from planner.registration.surface import sample_by_area
 from planner.values import Floats
 
 FACES = (5_000, 20_000, 80_000, None)
-NEAR, FAR, JUDGED = 100_000, 20_000, 100
+NEAR, FAR, N_CHECKED = 100_000, 20_000, 100
 
 
 def run() -> list[dict[str, Any]]:
@@ -43,12 +43,12 @@ def _row(mesh: TriangleMesh, what: str, points: Floats) -> dict[str, Any]:
     start, busy = perf_counter(), process_time()
     signed = ClosestPointQuery(mesh).signed_distance(points)
     took |= {"signed s": perf_counter() - start, "signed processor s": process_time() - busy}
-    judged = np.linspace(0, len(points) - 1, JUDGED).astype(int)
-    distance, inside = np.array([_brute(mesh.vertices[mesh.faces] - points[i]) for i in judged]).T
+    rows = np.linspace(0, len(points) - 1, N_CHECKED).astype(int)
+    distance, inside = np.array([_brute(mesh.vertices[mesh.faces] - points[i]) for i in rows]).T
     return {
         "faces": len(mesh.faces), "points": f"{len(points):,} {what}", **took,
-        "error / diagonal": float(np.abs(closest.distance[judged] - distance).max()) / mesh.diagonal,
-        "wrong signs": f"{int(((signed[judged] < 0) != (inside > 0.5)).sum())} of {JUDGED}",
+        "error / diagonal": float(np.abs(closest.distance[rows] - distance).max()) / mesh.diagonal,
+        "wrong signs": f"{int(((signed[rows] < 0) != (inside > 0.5)).sum())} of {N_CHECKED}",
     }  # fmt: skip
 
 

@@ -76,8 +76,8 @@ def _best(run_it: Callable[[], Any]) -> dict[str, float]:
     for _ in range(_REPEATS):
         started = time.process_time(), time.perf_counter()
         run_it()
-        spent = time.process_time() - started[0], time.perf_counter() - started[1]
-        best = {name: min(was, now) for (name, was), now in zip(best.items(), spent, strict=True)}
+        times = time.process_time() - started[0], time.perf_counter() - started[1]
+        best = {name: min(was, now) for (name, was), now in zip(best.items(), times, strict=True)}
     return best
 
 

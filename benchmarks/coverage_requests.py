@@ -36,10 +36,10 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         curve.fill_between(n, covered, upper, color=colour, alpha=0.3, lw=0)
         curve.plot(n, covered, "-", color=colour, label=f"{part}: found, and above it what the bound leaves open")
         for axes, request in ((overlap, "overlap"), (promise, "promise")):
-            shown = [row for row in mine if row["request"] == request]
-            x = [row["requested"] for row in shown]
-            axes.plot(x, [row["views"] for row in shown], "o-", color=colour, label=f"{part}: views")
-            axes.plot(x, [row["at_least"] for row in shown], ":", color=colour, label=f"{part}: at least")
+            values = [row for row in mine if row["request"] == request]
+            x = [row["requested"] for row in values]
+            axes.plot(x, [row["views"] for row in values], "o-", color=colour, label=f"{part}: views")
+            axes.plot(x, [row["at_least"] for row in values], ":", color=colour, label=f"{part}: at least")
     curve.set(xlabel="number of views", ylabel="covered [% of coverable]", ylim=(0, 102), xlim=(0, None))
     overlap.set(
         xlabel="requested overlap [share of the smaller view]", ylabel="views, all scans connected", ylim=(0, None)
@@ -105,13 +105,13 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
                 CoverProblem(matrix, areas, coverage=0.98), layer, rng=np.random.default_rng(0)
             )
         )
-        chosen = views.T_object_scanner[robust.cover.views]
-        drawn = error.draw(200 * len(chosen), np.random.default_rng(2)).reshape(200, len(chosen), 4, 4)
-        times, _ = simulate_executions(chosen, samples, scanner, (caster,), drawn)
-        kept = (times >= 190).mean()
+        poses = views.T_object_scanner[robust.cover.views]
+        pose_errors = error.draw(200 * len(poses), np.random.default_rng(2)).reshape(200, len(poses), 4, 4)
+        times, _ = simulate_executions(poses, samples, scanner, (caster,), pose_errors)
+        success_share = (times >= 190).mean()
         expected = (
             f"layer {filled:.1f} s; promised {100 * robust.robust_area / robust.cover.total_area:.2f} %, of other "
-            f"samples {100 * kept:.2f} % in 190 of 200 executions"
+            f"samples {100 * success_share:.2f} % in 190 of 200 executions"
         )
         yield _row(part, "promise", size, f"{position:g} mm, {orientation:g} deg", robust.cover, expected, seconds)
 

@@ -61,7 +61,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _row(number: int) -> dict[str, Any]:
-    bench, reached, M, chosen = _covered(number)
+    bench, reached, M, selection = _covered(number)
     world = bench.world
     checker, candidates = MujocoCollisionChecker(world), bench.candidates
     home_pose = world.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner
@@ -76,28 +76,30 @@ def _row(number: int) -> dict[str, Any]:
         tour = plan_tour(visits, checker, world.limits, np.random.default_rng(number), budget, ordering=ordering)
         return tour, perf_counter() - begin
 
-    alone = [chosen.views[k : k + 1] for k in range(len(chosen.views))]
-    robotsp, _ = motion(alone, chosen.views, task_space, _SIMPLE)
+    alone = [selection.views[k : k + 1] for k in range(len(selection.views))]
+    robotsp, _ = motion(alone, selection.views, task_space, _SIMPLE)
     search = order.order_views(
-        TourProblem.straight([reached.configurations_of(int(view)) for view in chosen.views], world.home, world.limits),
-        world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
+        TourProblem.straight(
+            [reached.configurations_of(int(view)) for view in selection.views], world.home, world.limits
+        ),
+        world.T_base_object @ candidates.T_object_scanner[selection.views, 0],
         np.random.default_rng(number),
         T_base_home=home_pose,
     )
     begin = perf_counter()
     matrix = equivalent_views.VisibilityIndex(M.matrix(), M.samples.areas, np.asarray(reached.reachable))
     found = equivalent_views.exchange_views(
-        matrix, chosen.views, reached.configurations_of, world.home, world.limits, np.random.default_rng(number)
+        matrix, selection.views, reached.configurations_of, world.home, world.limits, np.random.default_rng(number)
     )
     exchange_s = perf_counter() - begin
     now, now_s = motion(list(found.groups), found.views, order.order_views)
     if now.duration > found.duration_before:
-        own, own_s = motion(alone, chosen.views, order.order_views)
+        own, own_s = motion(alone, selection.views, order.order_views)
         now, now_s = min(now, own, key=lambda tour: (len(tour.dropped), tour.duration)), now_s + own_s
     views_before, before = BEFORE_S[number] if number < len(BEFORE_S) else ("", 0.0)
     return {
         "scene": f"{number} {bench.scene.part.name}",
-        "views": len(chosen.views),
+        "views": len(selection.views),
         "views before": views_before,
         "before s": before or "",
         "RoboTSP s": robotsp.duration,
@@ -133,11 +135,11 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
         M = bench.matrix("aimed", candidates)
         caster = make_caster(fixed_occluders(world))
         M = apply_occluders(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
-        chosen = cover.solve(
+        selection = cover.solve(
             cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=np.random.default_rng(number)
         )
-        if len(chosen.views) >= 2:
-            return bench, reached, M, chosen
+        if len(selection.views) >= 2:
+            return bench, reached, M, selection
     raise RuntimeError(f"no draw of scene {number} can be used")
 
 
@@ -150,12 +152,12 @@ def task_space(
     task = generalised_tsp.make_instance(lengths, np.arange(len(positions) + 1))
     tour = generalised_tsp.solve(task, np.arange(1, len(positions)), rng, 10_000, 0).tour
     joint = problem.instance()
-    duration, chosen = generalised_tsp.best_nodes(joint, tour[1:])
-    views = joint.clusters_of(chosen)[1:]
+    duration, nodes = generalised_tsp.best_nodes(joint, tour[1:])
+    views = joint.clusters_of(nodes)[1:]
     return order.OrderedViews(
         order=views - 1,
-        choice=chosen[1:] - joint.first[views],
-        q=problem.q[chosen[1:]],
+        choice=nodes[1:] - joint.first[views],
+        q=problem.q[nodes[1:]],
         duration=duration,
         baseline_duration=duration,
         lower_bound=0.0,

@@ -51,7 +51,7 @@ def _row(folder: Path, name: str, arguments: tuple[str, ...], limit: tuple[str, 
         scanned, _ = run_cell(folder, "scan", str(out), cache=folder / "cache")
     except CellError as error:
         return row | {"refused": str(error)}
-    told, found = planned["spacing"], 1000 * spacing_of_scans(out)
+    prediction, found = planned["spacing"], 1000 * spacing_of_scans(out)
     half, most = np.nanquantile(found, [0.5, 0.99])
     return row | {
         "views": planned["n_views"],
@@ -60,9 +60,9 @@ def _row(folder: Path, name: str, arguments: tuple[str, ...], limit: tuple[str, 
         **{
             f"{key} %": round(100 * scanned["coverage"][key], 2) for key in ("predicted", "visible", "dense", "sampled")
         },
-        "half told mm": round(told["median_mm"], 3),
+        "half predicted mm": round(prediction["median_mm"], 3),
         "half scanned mm": round(float(half), 3),
-        "99 % told mm": round(told["quantile_99_mm"], 3),
+        "99 % predicted mm": round(prediction["quantile_99_mm"], 3),
         "99 % scanned mm": round(float(most), 3),
     }
 

@@ -57,11 +57,11 @@ class EditJudge:
         self._limits = np.radians(self._scene.joint_limits_deg)
         self.visible_error = 0.0
 
-    def accepted(self, run: Run, edit: RandomEdit, made: Run) -> list[str]:
+    def accepted(self, run: Run, edit: RandomEdit, result: Run) -> list[str]:
         """Return the faults of an edited plan; empty if there are none."""
         return [
-            *self._views(edit, made), *_kept(run, edit, made), *self._motion(made), *self._coverage(made),
-            *(_repaired(run, edit, made) if edit.options.get("repair") else ()),
+            *self._views(edit, result), *_unchanged(run, edit, result), *self._motion(result), *self._coverage(result),
+            *(_repaired(run, edit, result) if edit.options.get("repair") else ()),
         ]  # fmt: skip
 
     def refused(self, edit: RandomEdit, error: CellError) -> list[str]:
@@ -99,11 +99,11 @@ class EditJudge:
         if not len(within):
             return ["no solution is within the joint limits"]
         near = [self._triangles.distances(q[None], self._world.clearance + CLEARANCE_M) for q in within]
-        named = re.search(r"\((.*)\)", reason)
+        pair_match = re.search(r"\((.*)\)", reason)
         found = [f"{sum(not each for each in near)} of {len(near)} solutions are free"] if not all(near) else []
         pairs = {frozenset(pair.split(" with ")) for each in near for pair in each}
-        if named is not None and frozenset(named[1].split(" with ")) not in pairs:
-            found.append(f"none is near {named[1]}")
+        if pair_match is not None and frozenset(pair_match[1].split(" with ")) not in pairs:
+            found.append(f"none is near {pair_match[1]}")
         return found
 
     def _no_path(self, within: Floats) -> list[str]:
@@ -117,12 +117,12 @@ class EditJudge:
                 return ["the straight move from home is free"]
         return []
 
-    def _views(self, edit: RandomEdit, made: Run) -> Iterator[str]:
+    def _views(self, edit: RandomEdit, result: Run) -> Iterator[str]:
         """Check that poses follow from the joint angles, within limits, and that requested poses are reached."""
-        T = np.stack([_ARM.forward(q).as_matrix() for q in made.q]) @ self._scene.T_flange_scanner
-        if (wrong := float(np.abs(T - made.T_base_scanner).max())) > 1e-9:
+        T = np.stack([_ARM.forward(q).as_matrix() for q in result.q]) @ self._scene.T_flange_scanner
+        if (wrong := float(np.abs(T - result.T_base_scanner).max())) > 1e-9:
             yield f"poses are {1e6 * wrong:.3g} um off their joint angles"
-        if ((made.q < self._limits[:, 0] - 1e-9) | (made.q > self._limits[:, 1] + 1e-9)).any():
+        if ((result.q < self._limits[:, 0] - 1e-9) | (result.q > self._limits[:, 1] + 1e-9)).any():
             yield "a joint limit is exceeded"
         for name, pose in edit.poses.items():
             apart = np.linalg.norm(T[:, :3, 3] - pose[:3, 3], axis=1)
@@ -130,75 +130,75 @@ class EditJudge:
             if not ((apart <= POSE_M) & (turned <= _TURNED)).any():
                 yield f"{name} is {1e6 * apart.min():.0f} um from the requested position, or turned"
 
-    def _motion(self, made: Run) -> Iterator[str]:
+    def _motion(self, result: Run) -> Iterator[str]:
         """Check contacts, limits, order, clearance and verification of the motion.
 
         No triangles touch at any millisecond, no limit is exceeded, and the reported clearance is kept.
         """
-        motion = made.motion
+        motion = result.motion
         dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP_S)
         if contacts := self._triangles.contacts(dense.q):
             yield f"contacts: {contacts}"
         if max(excess(motion), excess(dense)) > 1e-9:
             yield "a limit of the motion is exceeded"
-        if motion.view[motion.view >= 0].tolist() != made.candidate.tolist():
+        if motion.view[motion.view >= 0].tolist() != result.candidate.tolist():
             yield "the motion visits other views"
-        said = made.report.motion.minimum_clearance_mm
+        reported_mm = result.report.motion.minimum_clearance_mm
         nearest = self._triangles.nearest(dense.q[:: max(1, len(dense.q) // _DISTANCES)], 0.3)
-        if said is not None and 1000 * nearest < said - 1000 * CLEARANCE_M:
-            yield f"{1000 * nearest:.2f} mm near, said to be {said:.2f}"
+        if reported_mm is not None and 1000 * nearest < reported_mm - 1000 * CLEARANCE_M:
+            yield f"{1000 * nearest:.2f} mm near, said to be {reported_mm:.2f}"
         try:
-            verify_plan(made.folder)
+            verify_plan(result.folder)
         except CellError as error:
             yield f"would not be driven: {error}"
 
-    def _coverage(self, made: Run) -> Iterator[str]:
-        self.visible_error = made.coverage.visible - independent_visible(made.folder, seed=12345)
+    def _coverage(self, result: Run) -> Iterator[str]:
+        self.visible_error = result.coverage.visible - independent_visible(result.folder, seed=12345)
         if abs(self.visible_error) > VISIBLE:
             yield f"visible coverage is {100 * self.visible_error:+.2f} points off"
 
 
-def _kept(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
+def _unchanged(run: Run, edit: RandomEdit, result: Run) -> Iterator[str]:
     """Check that candidates keep their rows, dropped views are absent, and the order is the requested one."""
-    before, after = run.candidates, made.candidates
+    before, after = run.candidates, result.candidates
     if after.T_object_scanner[: len(before)].tobytes() != before.T_object_scanner.tobytes():
         yield "candidates changed"
-    if (made.reach.verdict[: len(before)] != run.reach.verdict).any():
+    if (result.reach.verdict[: len(before)] != run.reach.verdict).any():
         yield "verdicts changed"
-    was, now = run.candidate.tolist(), made.candidate.tolist()
-    if gone := [number for number in edit.options.get("drop", ()) if was[number - 1] in now]:
-        yield f"view {gone[0]} is still there"
+    was, now = run.candidate.tolist(), result.candidate.tolist()
+    if remaining := [number for number in edit.options.get("drop", ()) if was[number - 1] in now]:
+        yield f"view {remaining[0]} is still there"
     changed = {*edit.options.get("drop", ()), *edit.options.get("move", ()), *edit.options.get("turn", ())}
     untouched = [view for number, view in enumerate(was, start=1) if number not in changed]
-    if lost := [view for view in untouched if view not in now]:
-        yield f"candidate {lost[0]} is lost"
+    if missing := [view for view in untouched if view not in now]:
+        yield f"candidate {missing[0]} is lost"
     expected = was if edit.options.get("keep_order") else []
     if "order" in edit.options:
         expected = [was[number - 1] for number in edit.options["order"] if number <= len(was)]
     expected = [view for view in expected if view in untouched]
     if expected and [view for view in now if view in expected] != expected:
         yield "the order is another"
-    if made.bound > len(made.q):
+    if result.bound > len(result.q):
         yield "the bound is above the number of views"
 
 
-def _repaired(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
+def _repaired(run: Run, edit: RandomEdit, result: Run) -> Iterator[str]:
     """Check that a repaired plan reaches its coverage target with the fewest added views.
 
     HiGHS finds the fewest added views.
     """
-    M, reached = made.measurability, made.reach
+    M, reached = result.measurability, result.reach
     matrix, areas = M.matrix().astype(np.float64), M.samples.areas
-    banned = {int(run.candidate[number - 1]) for number in edit.options.get("drop", ())} - {*made.candidate.tolist()}
+    banned = {int(run.candidate[number - 1]) for number in edit.options.get("drop", ())} - {*result.candidate.tolist()}
     open_to_all = matrix @ reached.reachable > 0
-    target = (made.plan.coverage.target_on_samples or 1.0) * float(areas[open_to_all].sum())
-    has = matrix[:, made.candidate].sum(axis=1) > 0
+    target = (result.plan.coverage.target_on_samples or 1.0) * float(areas[open_to_all].sum())
+    has = matrix[:, result.candidate].sum(axis=1) > 0
     if float(areas[has].sum()) < target * (1 - 1e-6):
         yield f"repaired to {100 * areas[has].sum() / areas[open_to_all].sum():.3f} % of coverable, not to the target"
     known = len(run.candidates)
-    added = [view for view in made.candidate.tolist() if view >= known or view in run.candidate]
+    added = [view for view in result.candidate.tolist() if view >= known or view in run.candidate]
     added += [view for view in edit.options.get("add_candidate", ()) if view not in added]
-    added = len(made.candidate) - len(added)
+    added = len(result.candidate) - len(added)
     if added < 1 or run.plan.coverage.target_on_samples not in (None, 1.0):
         return
     base = matrix[:, added].sum(axis=1) > 0
@@ -210,5 +210,5 @@ def _repaired(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
         np.ones(len(columns)), integrality=np.ones(len(columns)), bounds=Bounds(0, 1),
         constraints=LinearConstraint(block[rows], lb=1), options={"time_limit": 20.0},
     )  # fmt: skip
-    if best.status == 0 and round(best.fun) < added and not made.plan.exclusions:
+    if best.status == 0 and round(best.fun) < added and not result.plan.exclusions:
         yield f"repaired by {added} views, {round(best.fun)} do"

@@ -46,8 +46,8 @@ def run() -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as scratch, no_pictures():
         folder = Path(os.environ.get("SCAN_CELL_RECHECK", scratch))
         folder.mkdir(parents=True, exist_ok=True)
-        kept = folder / "rows.jsonl"
-        rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+        rows_file = folder / "rows.jsonl"
+        rows = [json.loads(line) for line in rows_file.read_text().splitlines()] if rows_file.exists() else []
         known = list(parts(folder))
         judge = lru_cache(maxsize=None)(
             lambda home: EditJudge(open_run(home / "plan"))
@@ -56,8 +56,8 @@ def run() -> list[dict[str, Any]]:
             name, arguments = known[number % len(known)]
             home = folder / f"runs {name}"
             _planned(home, arguments)
-            rows.append({"part": name, "edit": number} | _judged(home, judge(home), number, count))
-            with kept.open("a") as file:
+            rows.append({"part": name, "edit": number} | _judge(home, judge(home), number, count))
+            with rows_file.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
     rows = sorted((row for row in rows if row["edit"] < count), key=lambda row: row["edit"])
     return [*_summary(rows), *(row for row in rows if row["findings"])]
@@ -72,25 +72,25 @@ def _planned(home: Path, arguments: tuple[str, ...]) -> None:
         plan(arguments[0], place=place_mm, out=home / "plan", **units)
 
 
-def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, Any]:
+def _judge(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, Any]:
     """Make one edit and check its result and its differences."""
     begin = process_time()
     last, out = home / "last", home / f"edit {number}"
     before = open_run(last if number // _OF_AN_EDITED % _OF_AN_EDITED == 3 and last.exists() else home / "plan")
-    drawn = random_edit(np.random.default_rng([number, 17]), before)
+    change = random_edit(np.random.default_rng([number, 17]), before)
     row: dict[str, Any] = {
-        "command line": drawn.command_line,
-        "options": json.dumps(drawn.options),
+        "command line": change.command_line,
+        "options": json.dumps(change.options),
         "of": before.folder.name,
     }
     for left in (out, out.with_name(f"{out.name}.part")):
         shutil.rmtree(left, ignore_errors=True)  # of a call that was stopped
     try:
-        made = edit(before, out=out, **drawn.options)
+        result = edit(before, out=out, **change.options)
     except CellError as error:
-        findings = judge.refused(drawn, error)
+        findings = judge.refused(change, error)
         return row | {"refused": str(error), "findings": findings, "s": process_time() - begin}
-    findings = [*judge.accepted(before, drawn, made), *(["should have been refused"] if drawn.wrong else [])]
+    findings = [*judge.accepted(before, change, result), *(["should have been refused"] if change.wrong else [])]
     seconds = process_time() - begin
     pairs, samples = 0, 0.0
     if number < _FULL_PAIRS:

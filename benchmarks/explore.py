@@ -26,12 +26,12 @@ AFTER = (5, 10, 15)
 
 def run() -> list[dict[str, Any]]:
     """Return one row for each part, policy and seed."""
-    wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque,bunny").split(",")
+    names = os.environ.get("SCAN_CELL_PARTS", "mug,petanque,bunny").split(",")
     seeds, arm = int(os.environ.get("SCAN_CELL_SEEDS", "3")), bool(os.environ.get("SCAN_CELL_ARM"))
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for name, words in parts(Path(folder)):
-            if name.removesuffix(" (file)") in wanted:
+            if name.removesuffix(" (file)") in names:
                 lab = Lab.of(words[0], *words[2:], arm=arm)
                 rows += list(_rows(name, lab, seeds))
     return rows

@@ -43,12 +43,12 @@ _LIMIT = {"stepwise": 1.35, "two-stage": 1.8}
 
 def run() -> list[dict[str, Any]]:
     """Return one row for each part, policy and seed."""
-    wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
+    names = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
     policies = os.environ.get("SCAN_CELL_POLICIES", ",".join(POLICIES)).split(",")
     seeds, rows = range(int(os.environ.get("SCAN_CELL_SEEDS", "1"))), list[dict[str, Any]]()
     with tempfile.TemporaryDirectory() as folder:
         for name, words in parts(Path(folder)):
-            if wanted == ["all"] or name.removesuffix(" (file)") in wanted:
+            if names == ["all"] or name.removesuffix(" (file)") in names:
                 for policy, seed in product(policies, seeds):
                     rows.append(_row(name, words, policy, seed))
                     print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- keeps rows of an interrupted run
@@ -71,8 +71,8 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         known_model = Path(folder) / "known"
         evaluation.plan_known_model(work, known_model)
         known = evaluation.evaluate(work, file, known_model)
-        checked, contacts = _judged(out, file, known_model)
-        causes = reasons.judged(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
+        checked, contacts = _count_contacts(out, file, known_model)
+        causes = reasons.check_causes(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
     limit = _LIMIT[policy] * known.fewest + 2
     return {
         "part": part,
@@ -129,7 +129,7 @@ def _share(by_views: tuple[float, ...], n: int) -> float:
     return round(100 * by_views[min(n, len(by_views)) - 1], 2)
 
 
-def _judged(out: Path, file: ExploreFile, known_model: Path) -> tuple[int, int]:
+def _count_contacts(out: Path, file: ExploreFile, known_model: Path) -> tuple[int, int]:
     """Return the number of configurations along all motions, and the number in contact with the true part in place."""
     known = open_finished(known_model)
     part = known.mesh("reference.ply")

@@ -133,22 +133,22 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
     settings = settle(scene, part).settings
     planning = decimate(mesh, settings.faces)
     views = generate_viewpoints(scene, settings, part, planning)
-    worlds, rows, judged = {}, [], None
+    worlds, rows, decision = {}, [], None
     for fidelity in FIDELITIES:
         table = scene.model_dump(exclude_unset=True)
-        chosen = Scene.model_validate({**table, "plan": {**table.get("plan", {}), "collision": fidelity}})
+        variant = Scene.model_validate({**table, "plan": {**table.get("plan", {}), "collision": fidelity}})
         started = time.process_time()
-        worlds[fidelity] = world = compile_world(chosen, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0)
+        worlds[fidelity] = world = compile_world(variant, mesh.vertices, part_faces=mesh.faces, baseline_mm=75.0)
         setup = time.process_time() - started
         checker = MujocoCollisionChecker(world)
         checker.distance(world.home[None])
-        if judged is None:
+        if decision is None:
             q = configurations(
                 world, part, views.T_object_scanner[:, 0], settings.standoffs[0], (_CANDIDATES, _NEAR),
                 np.random.default_rng(0),
             )  # fmt: skip
-            judged = _judged(world, part, q)
-        q, truth = judged
+            decision = _decide(world, part, q)
+        q, truth = decision
         checker.free(q)
         seconds = []
         for _ in range(_REPEATS):
@@ -176,7 +176,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
     return rows
 
 
-def _judged(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _decide(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the configurations that fcl decides, and whether they keep the clearance from the true triangles."""
     mesh = part.reference
     T = world.T_base_object

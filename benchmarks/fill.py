@@ -89,8 +89,8 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     )
     axes[0, 0].legend(frameon=False, fontsize=9, loc="upper left")
     FigureCanvasAgg(figure).draw()  # fixes the panels, and so the overlaps of labels
-    for axis, wanted in labels.items():
-        _place(axis, wanted)
+    for axis, texts in labels.items():
+        _place(axis, texts)
     figure.savefig(folder / "fill_speed_accuracy.png", format="png", metadata={"Software": "scan-cell"})
 
 
@@ -104,7 +104,7 @@ def _place(axis: Any, labels: list[tuple[str, float, float, str, bool]]) -> None
 
     scale = axis.figure.dpi / 72
     points = [axis.transData.transform((x, y)) for _, x, y, *_ in labels]
-    taken = [Bbox.from_bounds(px - 4, py - 4, 8, 8) for px, py in points]
+    obstacles = [Bbox.from_bounds(px - 4, py - 4, 8, 8) for px, py in points]
     for (text, x, y, colour, left), (px, py) in zip(labels, points, strict=True):
         width, height = 4.3 * len(text) * scale, 8 * scale
         choices = []
@@ -112,9 +112,9 @@ def _place(axis: Any, labels: list[tuple[str, float, float, str, bool]]) -> None
             for dx, dy in _AROUND:
                 corner = px - dx * scale - width if side else px + dx * scale
                 box = Bbox.from_bounds(corner, py + dy * scale, width, height)
-                choices.append((sum(box.overlaps(other) for other in taken), len(choices), box, side, dx, dy))
+                choices.append((sum(box.overlaps(other) for other in obstacles), len(choices), box, side, dx, dy))
         _, _, box, side, dx, dy = min(choices, key=lambda choice: choice[:2])
-        taken.append(box)
+        obstacles.append(box)
         axis.annotate(
             text, (x, y), xytext=(-dx if side else dx, dy), textcoords="offset points",
             ha="right" if side else "left", fontsize=7, color=colour, zorder=5,

@@ -66,7 +66,7 @@ def corrupted(good: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 def serial_frames(rng: np.random.Generator) -> list[bytes]:
     """Return valid frames of all kinds."""
-    made = []
+    valid = []
     for k in range(GOOD):
         points = rng.integers(-(2**31), 2**31, (int(rng.integers(1, 13)), 6)).astype(np.int32)
         axes, number = points[0], int(rng.integers(65536))
@@ -81,8 +81,8 @@ def serial_frames(rng: np.random.Generator) -> list[bytes]:
             messages.status_frame(number, state),
             messages.answer_frame(number, "MOVE", Answer(number, 3, "via point 0 has A1 at 185.0001 deg")),
         )
-        made.append(encode_frame(frames[k % len(frames)]))
-    return made
+        valid.append(encode_frame(frames[k % len(frames)]))
+    return valid
 
 
 def accepted_frames(data: bytes) -> set[bytes]:
@@ -105,7 +105,7 @@ _COMMAND = registers.COMMAND.for_axes(6)
 
 def command_blocks(rng: np.random.Generator) -> list[list[int]]:
     """Return valid command blocks."""
-    made = []
+    valid = []
     for k in range(GOOD):
         points = rng.integers(-(2**31), 2**31, (k % 10, 6))
         values: dict[str, registers.Value] = {
@@ -113,17 +113,17 @@ def command_blocks(rng: np.random.Generator) -> list[list[int]]:
             "command": (0, 1, 2, 4, 5, 6, 9)[k % 7], "speed": int(rng.integers(1, 10001)), "points": len(points),
             "offset": k, "count": k, "points_crc": int(rng.integers(2**32)),
         }  # fmt: skip
-        made.append(_COMMAND.encode(values, points.ravel().tolist()))
-    return made
+        valid.append(_COMMAND.encode(values, points.ravel().tolist()))
+    return valid
 
 
 def telegrams(rng: np.random.Generator, transaction: int | None) -> list[bytes]:
     """Return valid FC16 telegrams, TCP or RTU."""
-    made = []
+    valid = []
     for block in command_blocks(rng):
         pdu = struct.pack(f">BHHB{len(block)}H", 16, 0, len(block), 2 * len(block), *block)
-        made.append(stations.pack(stations.Header(1, transaction), pdu))
-    return made
+        valid.append(stations.pack(stations.Header(1, transaction), pdu))
+    return valid
 
 
 def accepted_blocks(data: bytes, rtu: bool) -> set[bytes]:
@@ -160,12 +160,12 @@ def fuzz(good: list[bytes], accept: Decoder, frames: int, rng: np.random.Generat
         a, b = k % len(good), int(rng.integers(len(good)))
         data = corrupted(good[a], good[b], rng)
         try:
-            taken = accept(data)
+            decoded = accept(data)
         except Exception:  # any exception is a crash
             crashes += 1
             continue
-        survived += bool(taken)
-        false += bool(taken - meanings[a] - meanings[b])
+        survived += bool(decoded)
+        false += bool(decoded - meanings[a] - meanings[b])
     return {
         "mangled": frames,
         "seconds": perf_counter() - began,

@@ -97,9 +97,9 @@ def _npz(good: bytes, rng: np.random.Generator) -> bytes:
     else:
         members[name] = corrupted(member, member, rng)
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for each, content in members.items():
-            made.writestr(each, content)
+            archive.writestr(each, content)
     return buffer.getvalue()
 
 
@@ -158,7 +158,7 @@ def _read_npz(path: Path) -> object:
     return getattr(run, {"motion.npz": "motion", "viewpoints.npz": "candidates", "reach.npz": "reach"}[path.name])
 
 
-def _judged(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str]]:
+def _results(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str]]:
     """Yield result, seconds and foreign error of each mangled file."""
     rng = np.random.default_rng(seed)
     names = sorted(kind.files)
@@ -170,28 +170,28 @@ def _judged(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str
             began = process_time()
             try:
                 kind.read(path)
-                ended, told = "read", ""
+                ended, message = "read", ""
             except CellError as error:
-                ended, told = ("refused", "") if error.exit_code != CellError.exit_code else ("foreign", str(error))
+                ended, message = ("refused", "") if error.exit_code != CellError.exit_code else ("foreign", str(error))
             except BaseException as error:  # any other exception is a bug
-                ended, told = "foreign", f"{name} {number}: {type(error).__name__}: {str(error)[:200]}"
-            yield ended, process_time() - began, told
+                ended, message = "foreign", f"{name} {number}: {type(error).__name__}: {str(error)[:200]}"
+            yield ended, process_time() - began, message
 
 
 def _row(kind: Kind, count: int, seed: int) -> dict[str, Any]:
     logging.disable(logging.CRITICAL)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, used + ROOM))
-    judged = list(_judged(kind, count, seed))
-    ends = [ended for ended, _, _ in judged]
+    results = list(_results(kind, count, seed))
+    ends = [ended for ended, _, _ in results]
     return {
         "files": kind.name,
         "mangled": count,
         "read": ends.count("read"),
         "refused": ends.count("refused"),
         "foreign": ends.count("foreign"),
-        "slowest_s": max(seconds for _, seconds, _ in judged),
-        "first foreign": next((told for _, _, told in judged if told), ""),
+        "slowest_s": max(seconds for _, seconds, _ in results),
+        "first foreign": next((message for _, _, message in results if message), ""),
     }
 
 

@@ -162,7 +162,7 @@ def rotation(rng: np.random.Generator) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Made:
+class GeneratedFile:
     """A generated file.
 
     Attributes:
@@ -420,7 +420,7 @@ def _stl(rng: np.random.Generator, bodies: list[Body], fault: str) -> tuple[byte
     solid = [bodies] if rng.random() < 0.5 else [[body] for body in bodies]
     case: Callable[[str], str] = str.upper if rng.random() < 0.2 else str
     ends = rng.choice(["endloop endfacet endsolid", "end loop,end facet,end solid"])
-    loop, facet, done = ends.split("," if "," in ends else " ")
+    loop, facet, end = ends.split("," if "," in ends else " ")
     for group in solid:
         lines.append(case("solid ") + text.name)
         for body in group:
@@ -428,7 +428,7 @@ def _stl(rng: np.random.Generator, bodies: list[Body], fault: str) -> tuple[byte
             for corners in vertices[faces]:
                 rows = [text.row([case("vertex"), *text.point(point.astype(np.float32))]) for point in corners]
                 lines += [case("facet normal 0 0 1"), case("  outer loop"), *rows, case(loop), case(facet)]
-        lines.append(case(done) + f" {text.name}")
+        lines.append(case(end) + f" {text.name}")
     if fault == "cut short":
         lines = lines[: -5 - int(rng.integers(3))]
     elif fault == "decimal commas":
@@ -646,18 +646,19 @@ FAULTS: dict[str, dict[str, str]] = {
 FAULTS["gltf"] = FAULTS["glb"]
 
 
-def make_file(rng: np.random.Generator, form: str) -> Made:
+def make_file(rng: np.random.Generator, form: str) -> GeneratedFile:
     """Return a random file of a format, damaged in one of six cases."""
     fault = str(rng.choice(list(FAULTS[form]))) if rng.random() < 1 / 6 else ""
     n_bodies = int(rng.integers(1, 4))
     polygonal = form in ("obj", "ply", "off")
-    made = [make_body(rng, triangles=not polygonal) for _ in range(n_bodies)]
+    originals = [make_body(rng, triangles=not polygonal) for _ in range(n_bodies)]
     R, shift, scale = rotation(rng), rng.uniform(-100, 100, 3), float(rng.uniform(0.5, 1.5))
     if rng.random() < 0.3:
         R, shift, scale = np.eye(3), np.zeros(3), 1.0
     metre = 0.001 if form in ("glb", "gltf") else 1.0
     bodies = [
-        each.placed(R * scale * metre, (R @ [300.0 * k, 0, 0] * scale + shift) * metre) for k, each in enumerate(made)
+        each.placed(R * scale * metre, (R @ [300.0 * k, 0, 0] * scale + shift) * metre)
+        for k, each in enumerate(originals)
     ]
     other_files: dict[str, bytes] = {}
     units, factor = str(rng.choice(["mm", "cm", "in"])), 1.0
@@ -679,30 +680,30 @@ def make_file(rng: np.random.Generator, form: str) -> Made:
         factor = workpiece.UNITS[units]
     states_units = form in ("glb", "gltf", "3mf")
     area, solid = sum(body.area for body in bodies), sum(body.volume for body in bodies)
-    return Made(
+    return GeneratedFile(
         f"part.{form.removeprefix('binary ')}", content, other_files, None if states_units else units, area * factor**2,
         solid * factor**3, n_bodies, FAULTS[form][fault] if fault else "", f"{fault} {tags}".strip(),
     )  # fmt: skip
 
 
-def judge(made: Made, folder: Path) -> tuple[str, str]:
+def judge(file: GeneratedFile, folder: Path) -> tuple[str, str]:
     """Read a file with the product; return equal, refused, wrong or foreign, and a description of a failure."""
-    path = folder / made.name
-    path.write_bytes(made.content)
-    for name, content in made.other_files.items():
+    path = folder / file.name
+    path.write_bytes(file.content)
+    for name, content in file.other_files.items():
         (folder / name).write_bytes(content)
     try:
-        part = workpiece.load(path, made.units)
+        part = workpiece.load(path, file.units)
     except CellError as error:
         if error.exit_code == CellError.exit_code:
             return "foreign", f"{error}"
-        if made.refusal and re.search(made.refusal, str(error)):
+        if file.refusal and re.search(file.refusal, str(error)):
             return "refused", ""
-        return "wrong", f"refused: {error} (expected {made.refusal or 'a part'})"
+        return "wrong", f"refused: {error} (expected {file.refusal or 'a part'})"
     except Exception as error:  # any other exception is a bug
         return "foreign", f"{type(error).__name__}: {error}"
-    if made.refusal:
-        return "wrong", f"read, but must be refused: {made.refusal}"
+    if file.refusal:
+        return "wrong", f"read, but must be refused: {file.refusal}"
     mesh = part.reference
     one, two, _, uses = adjacent_faces(mesh.faces.astype(np.int64))
     bodies = label_bodies(len(mesh.faces), one, two)[1]
@@ -710,40 +711,40 @@ def judge(made: Made, folder: Path) -> tuple[str, str]:
     doubts = [finding.sentence for finding in part.findings if finding.kind not in (Kind.BODIES, Kind.UNITS)]
     faults = [
         f"{name} {found:.9g}, expected {expected:.9g}"
-        for name, found, expected in (("area", area, made.area), ("volume", solid, made.volume))
+        for name, found, expected in (("area", area, file.area), ("volume", solid, file.volume))
         if solid is None or abs(found - expected) > TOLERANCE * expected
     ]
-    if bodies != made.bodies:
-        faults.append(f"{bodies} bodies, expected {made.bodies}")
+    if bodies != file.bodies:
+        faults.append(f"{bodies} bodies, expected {file.bodies}")
     if (uses != 2).any():
         faults.append(f"{int((uses != 2).sum())} edges without two faces")
     faults += doubts
     return ("wrong", "; ".join(faults)) if faults else ("equal", "")
 
 
-def _second_judge(made: Made, folder: Path) -> bool:
+def _second_judge(file: GeneratedFile, folder: Path) -> bool:
     """Return whether trimesh reads the area of the file."""
     import trimesh
 
     with warnings.catch_warnings(action="ignore"):
         try:
-            loaded: Any = trimesh.load(folder / made.name, force="mesh")
+            loaded: Any = trimesh.load(folder / file.name, force="mesh")
             area = float(loaded.area)
         except Exception:  # trimesh raises any exception
             return False
-    factor = workpiece.UNITS[made.units] if made.units else 1.0
-    return abs(area * factor**2 - made.area) < TOLERANCE * made.area
+    factor = workpiece.UNITS[file.units] if file.units else 1.0
+    return abs(area * factor**2 - file.area) < TOLERANCE * file.area
 
 
-def results(count: int, seed: int, *, second: bool = False) -> Iterator[tuple[str, Made, str, str, bool]]:
+def results(count: int, seed: int, *, second: bool = False) -> Iterator[tuple[str, GeneratedFile, str, str, bool]]:
     """Yield format, file, result, description of a failure, and whether trimesh agrees."""
     with tempfile.TemporaryDirectory() as folder:
         for number in range(count):
             form = FORMATS[number % len(FORMATS)]
-            made = make_file(np.random.default_rng([seed, number]), form)
-            result, failure = judge(made, Path(folder))
-            agrees = second and not made.refusal and _second_judge(made, Path(folder))
-            yield form, made, result, failure and f"{number}: {failure} [{made.tags}]", agrees
+            file = make_file(np.random.default_rng([seed, number]), form)
+            result, failure = judge(file, Path(folder))
+            agrees = second and not file.refusal and _second_judge(file, Path(folder))
+            yield form, file, result, failure and f"{number}: {failure} [{file.tags}]", agrees
 
 
 def compared(count: int, seed: int, *, second: bool = False) -> list[dict[str, Any]]:

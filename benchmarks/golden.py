@@ -307,7 +307,7 @@ def execute(folder: Path, case: Case) -> Executed:
         shutil.copytree(folder / source, home / local)
     if case.scene:
         (home / "in.toml").write_text(case.scene)
-    given = {path: path.read_bytes() for path in _files(home)}
+    inputs = {path: path.read_bytes() for path in _files(home)}
     start = perf_counter()
     artefacts: dict[str, dict[str, str]] = {}
     for number, step in enumerate(case.steps, 1):
@@ -326,7 +326,7 @@ def execute(folder: Path, case: Case) -> Executed:
         artefacts[f"step {number}: stderr"] = _hashes_of_text(errors, folder)
     seconds = perf_counter() - start
     for path in _files(home):
-        if path not in given or path.read_bytes() != given[path]:
+        if path not in inputs or path.read_bytes() != inputs[path]:
             artefacts[path.relative_to(home).as_posix()] = hashes(path, folder)
     return Executed(artefacts, seconds)
 
@@ -461,10 +461,10 @@ def main(
 ) -> None:
     """Execute the golden runs and compare their artefacts with the reference; exit with code 1 if data changed."""
     names = [case.name for case in CASES]
-    chosen = {name for each in only or names for name in each.split(",")}
-    if unknown := sorted(chosen - set(names)):
+    selection = {name for each in only or names for name in each.split(",")}
+    if unknown := sorted(selection - set(names)):
         raise typer.BadParameter(f"no run named {', '.join(unknown)}; there are {', '.join(names)}")
-    needed = _with_inputs(chosen)
+    needed = _with_inputs(selection)
     reference = json.loads(REFERENCE.read_text()) if REFERENCE.exists() else {}
     progress = Console(stderr=True)
     console = Console() if sys.stdout.isatty() else Console(width=160)
@@ -478,17 +478,17 @@ def main(
         for case in CASES:
             if case.name not in needed:
                 continue
-            done = execute(folder, case)
-            if case.name in chosen:
-                results[case.name] = done.artefacts
-                found = compare(reference.get(case.name, {}), done.artefacts)
-                table.add_row(case.name, f"{done.seconds:.1f}", *(str(len(found[kind])) for kind in found))
+            execution = execute(folder, case)
+            if case.name in selection:
+                results[case.name] = execution.artefacts
+                found = compare(reference.get(case.name, {}), execution.artefacts)
+                table.add_row(case.name, f"{execution.seconds:.1f}", *(str(len(found[kind])) for kind in found))
                 changes += [f"{case.name}: {kind}: {name}" for kind in found if kind != "equal" for name in found[kind]]
-                progress.print(f"{case.name} {done.seconds:.1f} s", highlight=False)
+                progress.print(f"{case.name} {execution.seconds:.1f} s", highlight=False)
     console.print(table)
     if update:
-        kept = {name: each for name, each in (reference | results).items() if name in names}
-        REFERENCE.write_text(_as_json(kept), encoding="utf-8")
+        entries = {name: each for name, each in (reference | results).items() if name in names}
+        REFERENCE.write_text(_as_json(entries), encoding="utf-8")
         return
     for change in changes:
         console.print(change, markup=False, highlight=False, soft_wrap=True)

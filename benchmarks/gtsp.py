@@ -41,7 +41,7 @@ def run() -> list[dict[str, Any]]:
     for name, problem in _mseke():
         rows += _searched(name, problem, None, (10, 30, 100, 300, 1000, 3000, 10_000))
     for clusters in (50, 80, 200):
-        problem = drawn(clusters, 5 * clusters)
+        problem = draw_instance(clusters, 5 * clusters)
         _, start = generalised_tsp.best_nodes(problem, np.arange(1, clusters))
         best, _ = generalised_tsp.search(problem, start, _SEEDS, _REFERENCE_STEPS)
         default = generalised_tsp.scale_steps(problem, generalised_tsp.STEPS)
@@ -66,14 +66,14 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     M = bench.matrix("aimed", candidates)
     M = apply_occluders(M, candidates, bench.scanner, make_caster(fixed_occluders(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)
-    chosen = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=rng)
+    plan = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=rng)
     matrix = equivalent_views.VisibilityIndex(M.matrix(), M.samples.areas, np.asarray(reached.reachable))
     found = equivalent_views.exchange_views(
-        matrix, chosen.views, reached.configurations_of, world.home, world.limits, rng
+        matrix, plan.views, reached.configurations_of, world.home, world.limits, rng
     )
     problems = []
     for name, groups in (
-        ("own views", [chosen.views[k : k + 1] for k in range(len(chosen.views))]),
+        ("own views", [plan.views[k : k + 1] for k in range(len(plan.views))]),
         ("views exchanged", list(found.groups)),
     ):
         q = [np.concatenate([reached.configurations_of(int(view)) for view in group]) for group in groups]
@@ -90,7 +90,7 @@ def of_file(path: Path) -> generalised_tsp.Instance:
     return generalised_tsp.make_instance(*read.sorted_by_cluster())
 
 
-def drawn(clusters: int, nodes: int, seed: int = 0) -> generalised_tsp.Instance:
+def draw_instance(clusters: int, nodes: int, seed: int = 0) -> generalised_tsp.Instance:
     """Draw places in a square of side 4000, clustered as in GTSPLIB; distances are integers."""
     places = np.random.default_rng([seed, clusters]).uniform(0, 4000, (nodes, 2)).round()
     cost = gtsplib._distances(places, "EUC_2D")
@@ -138,7 +138,7 @@ def _searched(
 
 
 def _compile() -> None:
-    small = drawn(5, 20)
+    small = draw_instance(5, 20)
     begin = perf_counter()
     _, start = generalised_tsp.best_nodes(small, np.arange(1, 5))
     cost, _ = generalised_tsp.search(small, start, 0, 10)

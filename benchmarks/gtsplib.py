@@ -51,13 +51,13 @@ def read(path: Path) -> Gtsp:
     np.fill_diagonal(cost, 0.0)
     sets: list[list[int]] = [[]]
     numbers = [int(word) for word in sections["GTSP_SET_SECTION"]]
-    named = True  # the number that follows is the name of a set
+    is_name = True  # the number that follows is the name of a set
     for number in numbers:
-        if named:
-            named = False
+        if is_name:
+            is_name = False
         elif number == -1:
             sets.append([])
-            named = True
+            is_name = True
         else:
             sets[-1].append(number - 1)
     found = [np.array(members, dtype=np.int64) for members in sets if members]

@@ -56,10 +56,10 @@ def run() -> list[dict[str, Any]]:
                 "target and poses": name,
                 "median mm": float(np.median(mm)),
                 "worst mm": max(mm),
-                "said mm": 1000 * float(np.median([np.linalg.norm(sd[:3]) for sd in sds])),
+                "stated mm": 1000 * float(np.median([np.linalg.norm(sd[:3]) for sd in sds])),
                 "median deg": float(np.median(deg)),
                 "worst deg": max(deg),
-                "said deg": float(np.degrees(np.median([np.linalg.norm(sd[3:]) for sd in sds]))),
+                "stated deg": float(np.degrees(np.median([np.linalg.norm(sd[3:]) for sd in sds]))),
                 "cpu s": seconds,
             }
         )
@@ -80,7 +80,7 @@ def _degenerate() -> Iterator[dict[str, Any]]:
         fit = mount_of("ball", None, views, 0)
         yield {
             "target and poses": f"ball, {name}",
-            "told": "; ".join(motion.sentence for motion in fit.undetermined_motions(5e-4)) or "nothing",
+            "undetermined": "; ".join(motion.sentence for motion in fit.undetermined_motions(5e-4)) or "nothing",
         }
 
 

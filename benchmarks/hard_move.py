@@ -115,15 +115,15 @@ def one_move(settings: PlantSettings) -> OneMove:
     trace = Trace()
     plant: Any = plants.built_in_plants(settings, trace)["mujoco"](HOME)
     plant.follow(reference)
-    spent = process_time()
+    seconds = process_time()
     plant.advance(reference.duration)
-    spent = process_time() - spent
+    seconds = process_time() - seconds
     waited = 0.0
     while not plant.settled and not plant.failure and waited < SETTLE_LIMIT:
         plant.advance(_POLL)
         waited += _POLL
     outcome = "failed" if plant.failure else "settled" if plant.settled else "restless"
-    return OneMove(outcome, trace, reference.duration, spent, waited)
+    return OneMove(outcome, trace, reference.duration, seconds, waited)
 
 
 def _mount() -> Floats:

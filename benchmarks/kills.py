@@ -40,11 +40,11 @@ def run() -> list[dict[str, Any]]:
         word = _word(open_finished(base / "plan").digest)
         with _Emulator(base / "calm_arm") as emulator:
             span_s = _span_s(base / "calm", _start(base, "scan", "calm", "--driver", emulator.url, *_SCAN, *word))
-        wanted = _scans(base / "calm")
-        return [_row(base, victim, count, wanted, span_s) for victim in ("client", "controller")]
+        reference = _scans(base / "calm")
+        return [_row(base, victim, count, reference, span_s) for victim in ("client", "controller")]
 
 
-def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], span_s: float) -> dict[str, Any]:
+def _row(base: Path, victim: str, count: int, reference: dict[str, bytes], span_s: float) -> dict[str, Any]:
     rng = np.random.default_rng(7)
     same, twice, resumed, after = 0, 0, 0, []
     for trial in range(count):
@@ -53,10 +53,10 @@ def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], span_s: 
         scans, times = _disturbed(base, name, victim, rng, span_s)
         after.append(scans)
         resumed += times
-        same += _scans(base / name) == wanted
+        same += _scans(base / name) == reference
         events = [json.loads(line) for line in (base / name / "executions/0001/events.jsonl").read_text().splitlines()]
-        taken = [event["number"] for event in events if event["event"] == "scan"]
-        twice += len(taken) - len(set(taken))
+        numbers = [event["number"] for event in events if event["event"] == "scan"]
+        twice += len(numbers) - len(set(numbers))
         shutil.rmtree(base / name)
     return {
         "killed": victim,
@@ -64,7 +64,7 @@ def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], span_s: 
         "scans equal to the calm ones": same,
         "scans recorded twice": twice,
         "resumed": resumed,
-        "scans there when killed": f"{min(after)} to {max(after)} of {len(wanted)}",
+        "scans there when killed": f"{min(after)} to {max(after)} of {len(reference)}",
     }
 
 
@@ -85,17 +85,17 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
             emulator = _Emulator(arm)
         times = 0
         while json.loads((base / name / "executions/0001/manifest.json").read_text())["status"] != "finished":
-            done = subprocess.run(
+            process = subprocess.run(
                 [*_COMMAND, "scan", name, "--resume", "latest", "--reset", "--driver", emulator.url,
                  *word, "--speed", "1", "--accept-time-scale", _TIME_SCALE],
                 cwd=base, capture_output=True, text=True, timeout=_PATIENCE_S, check=False,
             )  # fmt: skip
-            if own := re.search("not the digest of the new way.* which is ([0-9a-f]+)", done.stderr):
+            if own := re.search("not the digest of the new way.* which is ([0-9a-f]+)", process.stderr):
                 word = _word(own[1])
                 continue
             times += 1
-            if done.returncode and times >= 3:
-                raise RuntimeError(f"{name} could not be resumed: {done.stderr}")
+            if process.returncode and times >= 3:
+                raise RuntimeError(f"{name} could not be resumed: {process.stderr}")
         return there, times
     finally:
         emulator.close()
@@ -163,9 +163,9 @@ def _start(base: Path, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def _cell(base: Path, *arguments: str) -> None:
-    done = subprocess.run([*_COMMAND, *arguments], cwd=base, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"cell {' '.join(arguments)}: {done.stderr}")
+    process = subprocess.run([*_COMMAND, *arguments], cwd=base, capture_output=True, text=True, check=False)
+    if process.returncode:
+        raise RuntimeError(f"cell {' '.join(arguments)}: {process.stderr}")
 
 
 def _scans(run: Path) -> dict[str, bytes]:

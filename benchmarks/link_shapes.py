@@ -49,7 +49,7 @@ def compare(name: str, link: dict[str, Any]) -> dict[str, Any]:
     slabs = [_half_spaces(link, slab) for slab in link["slabs"]]
     solids = link_solids(name)
     shapes = [np.column_stack([each.face_normals, -_offsets(each)]) for each in solids]
-    beyond = max(_support_beyond(slab, len(link["slabs"][0]["support"]), solids) for slab in slabs)
+    excess = max(_support_beyond(slab, len(link["slabs"][0]["support"]), solids) for slab in slabs)
     rng = np.random.default_rng(0)
     own = np.concatenate([_samples(each, rng) for each in solids])
     surface = np.concatenate([_samples(each, rng) for slab in slabs if (each := _solid(slab)) is not None])
@@ -60,7 +60,7 @@ def compare(name: str, link: dict[str, Any]) -> dict[str, Any]:
     volume, outlined = (float(np.prod(high - low)) / 1e6 * _is_inside(each, points).mean() for each in (shapes, slabs))
     return {
         "link": name,
-        "support beyond the shapes mm": beyond,
+        "support beyond the shapes mm": excess,
         "excess mm": float(distance.max(initial=0.0)),
         "volume l": volume,
         "ratio": volume / float(link.get("volume_l", outlined)),

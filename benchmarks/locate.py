@@ -69,9 +69,9 @@ def _row(planned: Run, count: int) -> dict[str, Any]:
         seconds += process_time() - begin
         error = farthest(found, T_moved, vertices)
         motions = found.undetermined_motions(_WITHIN_M)
-        said = [*([describe(motions)] if motions else []), *found.alternatives, *found.doubts]
-        open_ += said
-        if said and error > _WITHIN_M:  # the fit reported this uncertainty
+        messages = [*([describe(motions)] if motions else []), *found.alternatives, *found.doubts]
+        open_ += messages
+        if messages and error > _WITHIN_M:  # the fit reported this uncertainty
             continue
         errors.append(1000 * error)
         deviations.append(1000 * (found.worst_point_sd(vertices) or 0.0))

@@ -35,16 +35,20 @@ _DISTANCES = 40  # samples of a motion for the column "nearest": distances of tr
 def run() -> list[dict[str, Any]]:
     """Return one row over all scenes, and one for each with a finding."""
     count = int(os.environ.get("SCAN_CELL_SCENES", "8"))
-    kept = Path(os.environ["SCAN_CELL_RECHECK"]) if "SCAN_CELL_RECHECK" in os.environ else None
-    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
+    records_file = Path(os.environ["SCAN_CELL_RECHECK"]) if "SCAN_CELL_RECHECK" in os.environ else None
+    records = (
+        [json.loads(line) for line in records_file.read_text().splitlines()]
+        if records_file and records_file.exists()
+        else []
+    )
     for number in range(count):
-        if any(row["scene"] == number for row in done):
+        if any(row["scene"] == number for row in records):
             continue
-        done.append(judged(number, table=os.environ.get("SCAN_CELL_TABLE", "")))
-        if kept:
-            with kept.open("a") as file:
-                file.write(json.dumps(done[-1]) + "\n")
-    rows = [row for row in done if row["scene"] < count]
+        records.append(check_scene(number, table=os.environ.get("SCAN_CELL_TABLE", "")))
+        if records_file:
+            with records_file.open("a") as file:
+                file.write(json.dumps(records[-1]) + "\n")
+    rows = [row for row in records if row["scene"] < count]
     found = [row for row in rows if row["contacts"] or row["over limits"] > 1e-9 or row["at once"]]
     planned = [row for row in rows if row["moves"]]
     summary = {
@@ -67,7 +71,7 @@ def run() -> list[dict[str, Any]]:
     return [summary, *found]
 
 
-def judged(number: int, *, table: str = "") -> dict[str, Any]:
+def check_scene(number: int, *, table: str = "") -> dict[str, Any]:
     """Plan and check one scene, with a rotary table of the given kind or without one."""
     begin = perf_counter()
     cell = usable(number, least=_VIEWS, table=table)
@@ -77,13 +81,13 @@ def judged(number: int, *, table: str = "") -> dict[str, Any]:
     visits = Visits([cell.reach.configurations_of(int(view)) for view in views], cell.world.home, poses)
     tour = plan_tour(visits, cell.checker, cell.world.limits, rng)
     motion = retime(tour.via, tour.segment, tour.view, cell.world.limits)
-    said = motion_clearance(cell.checker, tour.via, tour.segment, len(tour.detour))
+    clearances = motion_clearance(cell.checker, tour.via, tour.segment, len(tour.detour))
     planned = perf_counter()
     return _judge(cell, motion) | {
         "views": len(tour.order),
         "dropped": len(tour.dropped),
         "detours": int(tour.detour.sum()),
-        "said mm": 1000 * float(said.distance.min(initial=np.inf)),
+        "lower bound mm": 1000 * float(clearances.distance.min(initial=np.inf)),
         "plan s": planned - begin,
         "judge s": perf_counter() - planned,
     }

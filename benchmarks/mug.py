@@ -46,7 +46,7 @@ def run() -> list[dict[str, Any]]:
     row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
     rows = samples_at_face_centres(reference, planning)
 
-    def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:
+    def evaluate(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:
         scanner = _scanner(step)
         plan = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas), rng=np.random.default_rng(0))
         T = views.T_object_scanner[plan.views]
@@ -72,8 +72,8 @@ def run() -> list[dict[str, Any]]:
     for step in RESOLUTIONS_DEG:
         start = perf_counter()
         M = fill_matrix(views, rows, _scanner(step), caster, method="rays", part=reference, row_of_face=row_of_face)
-        found.append(judged("rays", step, M, perf_counter() - start))
-        found.append(judged("aimed", step, aimed, aimed_seconds))
+        found.append(evaluate("rays", step, M, perf_counter() - start))
+        found.append(evaluate("aimed", step, aimed, aimed_seconds))
     return found
 
 
@@ -96,9 +96,9 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
                 [row["resolution deg"] for row in points], [row[column] for row in points],
                 marker=marker, color=colour, linewidth=1.4, markersize=5, label=name,
             )  # fmt: skip
-        told = {"views": 0, "sampled %": 1}.get(column)
-        if told is not None:
-            paper = [values[told] for values in _PAPER.values()]
+        paper_column = {"views": 0, "sampled %": 1}.get(column)
+        if paper_column is not None:
+            paper = [values[paper_column] for values in _PAPER.values()]
             axis.plot(list(_PAPER), paper, "x", color="0.3", markersize=7, label="the paper's Mug")
         axis.set_xscale("log")
         axis.invert_xaxis()

@@ -28,23 +28,29 @@ _LONG = 1_000_000  # checks
 _SECONDS = 60.0
 _PAIRS = 400  # drawn until a straight move is blocked
 _COMPARED = 5
-_DRAWN, _NEAREST = 200, 12
+_N_DRAWN, _NEAREST = 200, 12
 _CASES = ("any", "near something")
 
 
 def run() -> list[dict[str, Any]]:
     """Return for each case one row over all scenes and one for each scene that the default budget did not solve."""
     count = int(os.environ.get("SCAN_CELL_SCENES", "20"))
-    kept = Path(os.environ["SCAN_CELL_PATHS"]) if "SCAN_CELL_PATHS" in os.environ else None
-    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
+    records_file = Path(os.environ["SCAN_CELL_PATHS"]) if "SCAN_CELL_PATHS" in os.environ else None
+    records = (
+        [json.loads(line) for line in records_file.read_text().splitlines()]
+        if records_file and records_file.exists()
+        else []
+    )
     for number, case in product(range(count), _CASES):
-        if any((row["scene"], row["case"]) == (number, case) for row in done):
+        if any((row["scene"], row["case"]) == (number, case) for row in records):
             continue
-        done.append(searched(number, case))
-        if kept:
-            with kept.open("a") as file:
-                file.write(json.dumps(done[-1]) + "\n")
-    return [row for case in _CASES for row in _summary([r for r in done if r["scene"] < count and r["case"] == case])]
+        records.append(searched(number, case))
+        if records_file:
+            with records_file.open("a") as file:
+                file.write(json.dumps(records[-1]) + "\n")
+    return [
+        row for case in _CASES for row in _summary([r for r in records if r["scene"] < count and r["case"] == case])
+    ]
 
 
 def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -78,7 +84,7 @@ def searched(number: int, case: str) -> dict[str, Any]:
     if result.status is PathStatus.NO_PATH_FOUND:
         found = "long"
         result = connect(q_from, q_to, cell.checker, cell.world.limits, _rng(number), _LONG)
-    spent = perf_counter() - begin
+    seconds = perf_counter() - begin
     if result.via is None:
         found = "no"
     row = {
@@ -86,7 +92,7 @@ def searched(number: int, case: str) -> dict[str, Any]:
         "case": case,
         "found": found,
         "checks": result.checks,
-        "s": spent,
+        "s": seconds,
         "via": 0 if result.via is None else len(result.via),
         "path s": result.duration if result.via is not None else None,
         "ompl": "",
@@ -113,7 +119,7 @@ def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
     view = np.repeat(np.arange(len(cell.reach)), np.diff(cell.reach.offsets))
     order = np.arange(len(q))
     if case == "near something":
-        order = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
+        order = rng.choice(len(q), min(len(q), _N_DRAWN), replace=False)
         order = order[np.argsort(cell.checker.distance(q[order])[0])]
     few = len(order) if case == "any" else _NEAREST
     while few <= 2 * len(order):  # more if all moves between the nearest are free

@@ -66,23 +66,23 @@ def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
     for attempt in range(4):
         recorded: list[MujocoPlant] = []
 
-        def make(start: Floats, watched: bool = attempt == 0, made: list[MujocoPlant] = recorded) -> MujocoPlant:
+        def make(start: Floats, watched: bool = attempt == 0, recorder: list[MujocoPlant] = recorded) -> MujocoPlant:
             plant: Any = plants.plants_of_run(run_record, observer=trace if watched else None)["mujoco"](start)
-            made.append(plant)
+            recorder.append(plant)
             return plant
 
         driver, clock = scan_driver.make_driver(
             ScanOptions(driver=URL), motion, read_cell(run_record), {"mujoco": make}
         )
         with driver:
-            began, spent = clock.now(), process_time()
+            began, busy = clock.now(), process_time()
             for leg in plan_execution(motion).segments:
                 state = driver.move(leg.set_points, speed)
                 if attempt == 0:
                     stands.append((state.q, leg.via[-1]))
             simulated = clock.now() - began
             if attempt:
-                seconds = min(seconds, process_time() - spent)
+                seconds = min(seconds, process_time() - busy)
     errors = trace.errors(kinematics, T)
     error = errors["true"] - errors["reference"]
     pace = np.linalg.norm(errors["velocity"], axis=1)
@@ -178,12 +178,12 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
             )
             if integrator == default.integrator and step == 1e3 * default.time_step:
                 axes[0].plot(x, y, "*", color="black", ms=14, label="default", zorder=5)
-        lost = [
+        divergent = [
             row["time step ms"] for row in grid if row["integrator"] == integrator
             and row["bandwidth Hz"] == default.bandwidth and row["outcome"] != "settled"
         ]  # fmt: skip
-        if lost:
-            axes[0].plot([], [], " ", label=f"{integrator} diverges from {min(lost):g} ms on")
+        if divergent:
+            axes[0].plot([], [], " ", label=f"{integrator} diverges from {min(divergent):g} ms on")
     axes[0].axhline(1.0, color="red", lw=1, ls="--")
     axes[0].axvline(10.0, color="red", lw=1, ls="--", label="1 mm, 10 x real time")
     axes[0].set(

@@ -66,9 +66,9 @@ def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
     if rng.random() < 0.3:
         options["keep_order"] = True
     elif not options or rng.random() < 0.3:
-        kept = [number for number in numbers if number not in options.get("drop", ())]
+        remaining = [number for number in numbers if number not in options.get("drop", ())]
         added = len(options.get("add_candidate", ())) + len(options.get("add_pose", ()))
-        options["order"] = [int(k) for k in rng.permutation([*kept, *range(n + 1, n + 1 + added)])]
+        options["order"] = [int(k) for k in rng.permutation([*remaining, *range(n + 1, n + 1 + added)])]
     options["repair"] = bool(rng.random() < 0.4)
     return RandomEdit(options, _poses(options, run))
 
@@ -103,12 +103,12 @@ def _poses(options: dict[str, Any], run: Run) -> dict[str, Floats]:
     candidates = run.candidates.T_object_scanner[:, 0]
     T_base_object = run.scene.T_base_object
 
-    def given(each: list[float]) -> Floats:
+    def as_pose(each: list[float]) -> Floats:
         T: Floats = pose_from_kuka_abc(np.array(each[:3]) / 1000, np.radians(each[3:]))
         return T
 
-    poses = {f"view {number}": given(each) for number, each in options.get("move", {}).items()}
-    poses |= {f"added pose {k}": given(each) for k, each in enumerate(options.get("add_pose", ()), start=1)}
+    poses = {f"view {number}": as_pose(each) for number, each in options.get("move", {}).items()}
+    poses |= {f"added pose {k}": as_pose(each) for k, each in enumerate(options.get("add_pose", ()), start=1)}
     for number, angle in options.get("turn", {}).items():
         about = pose_from_kuka_abc(np.zeros(3), np.radians([angle, 0.0, 0.0]))
         poses[f"view {number}"] = T_base_object @ candidates[run.candidate[number - 1]] @ about

@@ -94,8 +94,8 @@ def run() -> list[dict[str, Any]]:
     vertices, faces = _bumpy_sphere()
     rows = [_hits(vertices, faces), _legs(vertices, faces), _vertices(vertices, faces)]
     for arguments in (("1858", "4", "3"), ("10000", "1", "1")):
-        done = subprocess.run([sys.executable, "-c", _FILL, *arguments], capture_output=True, text=True, check=True)
-        rows.append(json.loads(done.stdout))
+        process = subprocess.run([sys.executable, "-c", _FILL, *arguments], capture_output=True, text=True, check=True)
+        rows.append(json.loads(process.stdout))
     return rows
 
 
@@ -204,8 +204,8 @@ def _all_hits(vertices: Floats, faces: NDArray[np.int64], origins: Floats, direc
     for start, stop in ((a, b), (b, c), (c, a)):
         inward = np.cross(unit, stop - start)
         inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-        beyond = origins @ inward.T + safe * (directions @ inward.T) - np.einsum("fi,fi->f", start, inward)
-        inside = np.minimum(inside, beyond)
+        edge_distance = origins @ inward.T + safe * (directions @ inward.T) - np.einsum("fi,fi->f", start, inward)
+        inside = np.minimum(inside, edge_distance)
     # Along the ray, the distance of an edge is at most its distance in the plane times the cosine.
     inside *= np.maximum(np.abs(towards) / np.linalg.norm(normal, axis=1), 1e-3)
     ahead = np.isfinite(distance) & (distance > 0)

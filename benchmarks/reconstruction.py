@@ -86,10 +86,10 @@ def _draw_registration(axis: Any, line: list[dict[str, Any]]) -> None:
             good, (row["pose mm"], row["after um"]), xytext=(0, 6), textcoords="offset points", ha="center",
             fontsize=7.5, color="0.35",
         )  # fmt: skip
-    lost = [row["pose mm"] for row in line if len(set(row["converged"].split(" of "))) > 1]
-    if lost:
-        before = [value for value in sigma if value < min(lost)]
-        start = np.sqrt(max(before) * min(lost)) if before else min(lost)
+    failures = [row["pose mm"] for row in line if len(set(row["converged"].split(" of "))) > 1]
+    if failures:
+        before = [value for value in sigma if value < min(failures)]
+        start = np.sqrt(max(before) * min(failures)) if before else min(failures)
         axis.axvspan(start, 1.3 * max(sigma), color="#c4622d", alpha=0.12, linewidth=0, label="scans are lost")
         axis.set_xlim(right=1.3 * max(sigma))
     axis.set_ylim(bottom=10)

@@ -51,8 +51,8 @@ def _row(file: Path, number: int) -> dict[str, Any]:
         try:
             return _scene(file, number, draw)
         except CellError as error:
-            told = str(error)
-    raise RuntimeError(f"none of {_DRAWS} draws of scene {number} can be planned: {told}")
+            message = str(error)
+    raise RuntimeError(f"none of {_DRAWS} draws of scene {number} can be planned: {message}")
 
 
 def _scene(file: Path, number: int, draw: int) -> dict[str, Any]:

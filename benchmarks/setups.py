@@ -46,7 +46,7 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     solved: list[tuple[CoverProblem, GroupedCover]] = []
     searches: list[setup_search.SetupSearch] = []
 
-    class Kept(setup_search.SetupSearch):
+    class RecordedSearch(setup_search.SetupSearch):
         def __init__(self, *known: Any) -> None:
             super().__init__(*known)
             searches.append(self)
@@ -58,19 +58,19 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
 
     start = time.process_time()
     own = setup_search.SetupSearch
-    setup_search.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
+    setup_search.solve_grouped, planning.SetupSearch = record, RecordedSearch  # type: ignore[misc]
     try:
-        made = api.setups(words[0], out=folder / name, **options_of_part)
+        run = api.setups(words[0], out=folder / name, **options_of_part)
     except CellError as error:
         return {"part": name, "error": str(error)[:100]}
     finally:
         setup_search.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
-    seconds, file = time.process_time() - start, made.file
+    seconds, file = time.process_time() - start, run.file
     problem, joint = solved[-1]
     poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]
     setups, views = _after_another(problem, joint)
     first_setups, first_views = _views_first(problem, joint, np.concatenate(poses))
-    ceiling, error = _ceiling(made.folders[0])
+    ceiling, error = _ceiling(run.folders[0])
     return {
         "part": name,
         "candidates": len(file.candidates),

@@ -94,8 +94,10 @@ def _row(name: str) -> dict[str, Any]:
         local, turned = (points - T[:3, 3]) @ T[:3, :3], normals[scan.face[some]] @ T[:3, :3]
         rays = local / np.linalg.norm(local, axis=1, keepdims=True)
         off = Disturbance(by_model=True)
-        drawn = np.stack([off.reported_points(points, T, T, scanner.source, rng, sigma) - points for _ in range(SCANS)])
-        noise = np.einsum("rpi,pi->rp", drawn @ T[:3, :3], rays)
+        deviations = np.stack(
+            [off.reported_points(points, T, T, scanner.source, rng, sigma) - points for _ in range(SCANS)]
+        )
+        noise = np.einsum("rpi,pi->rp", deviations @ T[:3, :3], rays)
         incidence = np.degrees(np.arccos(np.clip(-(turned * rays).sum(axis=1), -1, 1)))
         found.append((sigma, noise.std(axis=0), _light(scanner, local, turned, rng), incidence))
     model, seen, light, incidence = (np.concatenate(column) for column in zip(*found, strict=True))

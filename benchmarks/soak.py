@@ -251,18 +251,18 @@ def _reportable_faults(journal: list[dict[str, Any]]) -> Counter[int]:
 
     The emergency stop outranks earlier faults. A restart erases latched faults, but is reported itself.
     """
-    told = Counter[int]()
+    reports = Counter[int]()
     latched = 0
     for entry in journal:
         if entry["event"] == "fault" and entry["code"] != Fault.RESTARTED:
             latched = entry["code"]
         elif entry["event"] == "reset":
-            told[latched] += latched != 0
+            reports[latched] += latched != 0
             latched = 0
         elif entry["event"] == "start":
             latched = 0
-            told[Fault.RESTARTED] += entry["boot"] > 1
-    return told
+            reports[Fault.RESTARTED] += entry["boot"] > 1
+    return reports
 
 
 def _distance(point: NDArray[Any], path: NDArray[Any]) -> float:
@@ -290,13 +290,13 @@ def soak_backend(
         Record of the client, and the controller's journal.
     """
     limits = KR16 if folder is None else Limits.from_rad(open_run(folder).motion.limits)
-    with tempfile.TemporaryDirectory() as kept:
-        log = Path(kept) / "moves.jsonl"
+    with tempfile.TemporaryDirectory() as scratch:
+        log = Path(scratch) / "moves.jsonl"
         command = [sys.executable, "-m", "cell", "emulate", backend, "--log", str(log)]
         command += [] if backend in FAULTS else ["--time-scale", str(TIME_SCALE)]
         command += ["--seed", str(seed), *(["--faults", faults] if faults else [])]
         command += [] if folder is None else ["--run", str(folder)]
-        errors = Path(kept) / "errors.txt"
+        errors = Path(scratch) / "errors.txt"
         with (
             errors.open("w", encoding="utf-8") as stream,
             subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stream, text=True) as process,
@@ -324,7 +324,7 @@ def run() -> list[dict[str, Any]]:
         folder = Path(os.environ["SOAK_RUN"]) if "SOAK_RUN" in os.environ else None
         soak, journal = soak_backend(backend, moves, FAULTS.get(backend, EVERY_FAULT), seed=1, folder=folder)
         verdict = judge(soak, journal)
-        told = Counter(Fault(code).name.lower() for code in soak.reported)
+        reports = Counter(Fault(code).name.lower() for code in soak.reported)
         rows.append(
             {
                 "back end": backend,
@@ -338,7 +338,7 @@ def run() -> list[dict[str, Any]]:
                 "out of order": verdict.out_of_order,
                 "off path [1e-4 deg]": verdict.off_path,
                 "unreported": verdict.unreported,
-                "faults told": ", ".join(f"{name} {count}" for name, count in sorted(told.items())),
+                "faults reported": ", ".join(f"{name} {count}" for name, count in sorted(reports.items())),
             }
         )
     return rows

@@ -25,17 +25,17 @@ from planner import cover
 def run() -> list[dict[str, Any]]:
     """Return one row for each part."""
     with tempfile.TemporaryDirectory() as scratch:
-        kept = Path(os.environ.get("SCAN_CELL_RUNS", scratch))
-        return [_row(name, arguments, kept) for name, arguments in parts(Path(scratch))]
+        folder = Path(os.environ.get("SCAN_CELL_RUNS", scratch))
+        return [_row(name, arguments, folder) for name, arguments in parts(Path(scratch))]
 
 
-def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
+def _row(name: str, arguments: tuple[str, ...], folder: Path) -> dict[str, Any]:
     runs = []
     for kind, options in (("fixed", ()), ("table", ("--table",))):
-        out = kept / f"{name.split()[0]}_{kind}"
+        out = folder / f"{name.split()[0]}_{kind}"
         try:
             if not out.is_dir():
-                run_cell(kept, "plan", *arguments, *options, "--place", place(), "--out", str(out))
+                run_cell(folder, "plan", *arguments, *options, "--place", place(), "--out", str(out))
             runs.append(open_run(out))
         except CellError as error:
             return {"part": name, "error": str(error)[:100]}
@@ -62,8 +62,8 @@ def _at(record: Run, share: float) -> str:
     M, areas = record.measurability, record.measurability.samples.areas
     coverable = float(areas[np.diff(M.indptr) > 0].sum())
     less = share - coverable / float(areas.sum())
-    asked = min(1.0, share * float(areas.sum()) / coverable)
-    wish = cover.CoverProblem(M.matrix(), areas, record.reach.reachable, coverage=asked)
-    found = cover.solve(wish, rng=np.random.default_rng(0))
-    told = f", which are all: {100 * less:.2f} points less" if less > 0 else ""
-    return f"{len(found.views)} ({found.lower_bound}){told}"
+    target = min(1.0, share * float(areas.sum()) / coverable)
+    problem = cover.CoverProblem(M.matrix(), areas, record.reach.reachable, coverage=target)
+    found = cover.solve(problem, rng=np.random.default_rng(0))
+    note = f", which are all: {100 * less:.2f} points less" if less > 0 else ""
+    return f"{len(found.views)} ({found.lower_bound}){note}"

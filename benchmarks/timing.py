@@ -67,11 +67,11 @@ def _error(a: Floats, b: Floats, limits: JointLimits) -> float:
     rng, worst = np.random.default_rng(1), 0.0
     for _ in range(_COMPARED):
         p, q = a[rng.integers(len(a))], b[rng.integers(len(b))]
-        asked, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
-        asked.current_position, asked.target_position = [0.0], [1.0]
-        asked.max_velocity = [float((limits.velocity / np.abs(q - p)).min())]
-        asked.max_acceleration = [float((limits.acceleration / np.abs(q - p)).min())]
-        asked.max_jerk = [float((limits.jerk / np.abs(q - p)).min())]
-        ruckig.Ruckig(1).calculate(asked, found)
+        request, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
+        request.current_position, request.target_position = [0.0], [1.0]
+        request.max_velocity = [float((limits.velocity / np.abs(q - p)).min())]
+        request.max_acceleration = [float((limits.acceleration / np.abs(q - p)).min())]
+        request.max_jerk = [float((limits.jerk / np.abs(q - p)).min())]
+        ruckig.Ruckig(1).calculate(request, found)
         worst = max(worst, abs(float(move_time(p, q, limits)) / found.duration - 1.0))
     return worst

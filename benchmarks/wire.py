@@ -44,13 +44,13 @@ def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float, float]
     """Return median and 99th percentile [ms], and the processor time of this process for one round [ms]."""
     for _ in range(20):
         act()
-    spent, busy = [], process_time()
+    durations, busy = [], process_time()
     for _ in range(rounds):
         began = perf_counter()
         act()
-        spent.append(1000.0 * (perf_counter() - began))
+        durations.append(1000.0 * (perf_counter() - began))
     busy = 1000.0 * (process_time() - busy) / rounds
-    return float(np.median(spent)), float(np.percentile(spent, 99)), busy
+    return float(np.median(durations)), float(np.percentile(durations, 99)), busy
 
 
 def _bytes(backend: str) -> tuple[int, int]:

@@ -145,13 +145,13 @@ def setups(
     from cell.runs.setups import SetupsRun
     from cell.scene.options import option_specs
 
-    own, rest = _split(keywords, SetupsKeywords, option_specs(SetupOptions))
-    chosen = _options(SetupOptions, options, own)
-    if chosen.first is not None and part is None and scene is None:
-        part, rest = scene_after(open_run(chosen.first), rest), {}
-    checked, workpiece = read_request(part, scene, rest)
+    setup_options, scene_options = _split(keywords, SetupsKeywords, option_specs(SetupOptions))
+    options = _options(SetupOptions, options, setup_options)
+    if options.first is not None and part is None and scene is None:
+        part, scene_options = scene_after(open_run(options.first), scene_options), {}
+    checked, workpiece = read_request(part, scene, scene_options)
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
-    return SetupsRun.opened(plan_setups(session, checked, options=chosen, part=workpiece))
+    return SetupsRun.opened(plan_setups(session, checked, options=options, part=workpiece))
 
 
 def edit(
@@ -303,9 +303,9 @@ def export(
     from cell.export import export as exporting
     from cell.export.options import ExportOptions
 
-    folder, chosen = _folder(run), _options(ExportOptions, options, keywords)
+    folder, options = _folder(run), _options(ExportOptions, options, keywords)
     write = exporting.export_setups if (folder / "setups.json").is_file() else exporting.export
-    return write(folder, chosen, _reporter(progress))
+    return write(folder, options, _reporter(progress))
 
 
 def points(run: "Run | str | Path", out: str | Path, execution: str = "latest") -> int:
@@ -350,15 +350,15 @@ def scan(
     from cell.scan import scan as execution
     from cell.scan.options import ScanOptions
 
-    chosen, folder = _options(ScanOptions, options, keywords), _folder(run)
-    chosen.require_compatible(resume, report)
+    options, folder = _options(ScanOptions, options, keywords), _folder(run)
+    options.require_compatible(resume, report)
     session = _session(progress, argv=argv, confirm=ask)
     if report is not None:
         outcome = results.make_report(session, folder, report)
     elif resume is not None:
-        outcome = execution.resume(session, folder, resume, chosen)
+        outcome = execution.resume(session, folder, resume, options)
     else:
-        outcome = execution.scan(session, folder, chosen)
+        outcome = execution.scan(session, folder, options)
     return Execution.open(outcome.folder)
 
 
@@ -392,9 +392,9 @@ def scan_setups(
     from cell.scan.options import ScanOptions
     from cell.scan.setups import scan_setups
 
-    chosen = _options(ScanOptions, options, keywords)
+    options = _options(ScanOptions, options, keywords)
     session = _session(progress, argv=argv, confirm=ask)
-    return scan_setups(session, _folder(folder), chosen, setup=setup, resumed=resume)
+    return scan_setups(session, _folder(folder), options, setup=setup, resumed=resume)
 
 
 def explore(
@@ -432,11 +432,14 @@ def explore(
     from cell.scan.options import ScanOptions
     from cell.scene.options import option_specs
 
-    own, of_scan, rest = _split(keywords, ExploreKeywords, option_specs(ExploreOptions), SCAN_OPTIONS)
-    checked, _ = read_request(part, scene, rest)
-    chosen, scans = _options(ExploreOptions, options, own), _options(ScanOptions, scanning, of_scan)
+    explore_options, scan_options, scene_options = _split(
+        keywords, ExploreKeywords, option_specs(ExploreOptions), SCAN_OPTIONS
+    )
+    checked, _ = read_request(part, scene, scene_options)
+    options = _options(ExploreOptions, options, explore_options)
+    scanning = _options(ScanOptions, scanning, scan_options)
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
-    file = explore(_session(progress, out=folder, argv=argv, confirm=ask), checked, chosen, scans)
+    file = explore(_session(progress, out=folder, argv=argv, confirm=ask), checked, options, scanning)
     return Exploration(folder, file)
 
 
@@ -473,10 +476,10 @@ def features(
     from cell.plan.pipeline import read_request
 
     checked, _ = read_request(part, scene, keywords)
-    found = plan_inspection(checked, load(checked.part.source, checked.part.units))
-    if found is None:
+    inspection_plan = plan_inspection(checked, load(checked.part.source, checked.part.units))
+    if inspection_plan is None:
         raise UsageError("the scene has no [[feature]]; add features, or give a QIF file (docs/inspection.md)")
-    return found
+    return inspection_plan
 
 
 def inspect(
@@ -508,11 +511,11 @@ def inspect(
     from cell.plan.pipeline import read_request
     from cell.scene.options import option_specs
 
-    own, rest = _split(keywords, InspectKeywords, option_specs(InspectOptions))
-    given = part is not None or scene is not None or rest
-    checked = read_request(part, scene, rest)[0] if given else None
-    chosen, folder = _options(InspectOptions, options, own), None if out is None else Path(out)
-    return inspect(_folder(source), checked, chosen, _reporter(progress), folder)[1].result
+    inspect_options, scene_options = _split(keywords, InspectKeywords, option_specs(InspectOptions))
+    has_request = part is not None or scene is not None or scene_options
+    checked = read_request(part, scene, scene_options)[0] if has_request else None
+    options, folder = _options(InspectOptions, options, inspect_options), None if out is None else Path(out)
+    return inspect(_folder(source), checked, options, _reporter(progress), folder)[1].result
 
 
 def calibrate_hand_eye(
@@ -533,8 +536,8 @@ def calibrate_hand_eye(
     from cell.metrology.hand_eye import calibrate_hand_eye
     from cell.metrology.options import HandEyeOptions
 
-    chosen = _options(HandEyeOptions, options, keywords)
-    return calibrate_hand_eye([Path(file) for file in files], chosen, _reporter(progress))
+    options = _options(HandEyeOptions, options, keywords)
+    return calibrate_hand_eye([Path(file) for file in files], options, _reporter(progress))
 
 
 def place(
@@ -550,11 +553,11 @@ def place(
     from cell.study.study import plan_command, scene_maker, study_folder
     from cell.study.trials import open_workers
 
-    where, rest = _split(keywords, PlaceKeywords, option_specs(PlaceRange))
-    run, scene, given = _study_options(rest)
-    checked, folder = scene_maker(part, scene, given)({}), study_folder("place", run.out)
+    where, run_options = _split(keywords, PlaceKeywords, option_specs(PlaceRange))
+    run, scene, scene_options = _study_options(run_options)
+    checked, folder = scene_maker(part, scene, scene_options)({}), study_folder("place", run.out)
     with open_workers(run.count, run.cluster, run.cluster_security) as workers:
-        words, quiet = plan_command(part, scene, given), lambda *_: None
+        words, quiet = plan_command(part, scene, scene_options), lambda *_: None
         return place_study(checked, parse_options(PlaceRange, where), workers, folder, progress or quiet, words)
 
 
@@ -634,8 +637,8 @@ def _study(
     from cell.study.study import plan_command, run_study, scene_maker
     from cell.study.trials import open_workers
 
-    run, scene, given = _study_options(*_split(keywords, StudyKeywords))
-    study, words = make(scene_maker(part, scene, given)), plan_command(part, scene, given)
+    run, scene, scene_options = _study_options(*_split(keywords, StudyKeywords))
+    study, words = make(scene_maker(part, scene, scene_options)), plan_command(part, scene, scene_options)
     with open_workers(run.count, run.cluster, run.cluster_security) as workers:
         return run_study(study, workers, out=run.out, reporter=_reporter(progress), plan=words)
 
@@ -645,9 +648,9 @@ def _study_options(keywords: dict[str, object]) -> "tuple[StudyRun, Path | None,
     from cell.scene.options import option_specs, parse_options
     from cell.study.options import StudyRun
 
-    run, given = _split(keywords, PlaceKeywords, option_specs(StudyRun))
-    scene = given.pop("scene", None)
-    return parse_options(StudyRun, run), None if scene is None else Path(str(scene)), given
+    run, scene_options = _split(keywords, PlaceKeywords, option_specs(StudyRun))
+    scene = scene_options.pop("scene", None)
+    return parse_options(StudyRun, run), None if scene is None else Path(str(scene)), scene_options
 
 
 def _options(model: "type[Options]", options: "Options | None", keywords: Mapping[str, object]) -> "Options":

@@ -36,9 +36,9 @@ def cache_folder(kind: str) -> Path:
     Raises:
         RuntimeError: if no cache is named and the user has no home.
     """
-    named = os.environ.get("XDG_CACHE_HOME")
-    if named:
-        base = Path(named)
+    folder = os.environ.get("XDG_CACHE_HOME")
+    if folder:
+        base = Path(folder)
     elif sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     elif sys.platform == "darwin":
@@ -51,9 +51,9 @@ def cache_folder(kind: str) -> Path:
 def unused_path(path: Path) -> Path:
     """Return a path, or the first of path-2, path-3, ... at which nothing exists."""
     number = 1
-    while (found := path if number == 1 else path.with_name(f"{path.name}-{number}")).exists():
+    while (candidate := path if number == 1 else path.with_name(f"{path.name}-{number}")).exists():
         number += 1
-    return found
+    return candidate
 
 
 def read_bytes(path: Path) -> bytes:

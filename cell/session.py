@@ -154,11 +154,11 @@ class LoggedProgress:
         """Report a stage while it runs; see `ProgressReporter`."""
         log.info("stage: %s", name)
         if self._progress is None:
-            yield lambda done, total: None
+            yield lambda n_done, total: None
             return
         report = self._progress
         report(name, 0, 0)
-        yield lambda done, total: report(name, done, total)
+        yield lambda n_done, total: report(name, n_done, total)
 
     def note(self, sentence: str) -> None:
         """Log a note as a warning."""

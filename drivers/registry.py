@@ -188,14 +188,14 @@ def open_driver(url: str, context: Context) -> Driver:
 
 
 def _load(scheme: str) -> DriverClass:
-    found = [point for point in entry_points(group=GROUP) if point.name == scheme]
-    if not found:
+    points = [point for point in entry_points(group=GROUP) if point.name == scheme]
+    if not points:
         valid = ", ".join(f"{name}://" for name in schemes()) or "none (is scan-cell installed?)"
         raise DriverUrlError(f"no installed driver has the scheme {scheme}://; valid are: {valid}")
-    if len({point.value for point in found}) > 1:
-        providers = " and ".join(f"{_distribution(point)} ({point.value})" for point in found)
+    if len({point.value for point in points}) > 1:
+        providers = " and ".join(f"{_distribution(point)} ({point.value})" for point in points)
         raise DriverUrlError(f"{scheme}:// is provided by {providers}; uninstall all but one")
-    point = found[0]
+    point = points[0]
     try:
         driver = point.load()
     except DriverError:

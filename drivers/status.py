@@ -78,7 +78,7 @@ def find_contradiction(state: RobotState, capabilities: Capabilities) -> str:
         for flag, flag_mode in _FLAG_MODES
         if bool(state.flags & flag) is not (state.mode is flag_mode) and flag.name
     ]
-    done, ack, n_axes = state.done_sequence, state.ack_sequence, len(capabilities.lower)
+    done_sequence, ack, n_axes = state.done_sequence, state.ack_sequence, len(capabilities.lower)
     checks = (
         (state.flags >= 2 * Flag.HELD, f"its flags 0x{state.flags:04X} have undefined bits"),
         (rests and moves, "the arm is at rest and moves"),
@@ -94,8 +94,8 @@ def find_contradiction(state: RobotState, capabilities: Capabilities) -> str:
         (has_arrived and state.done_result != Result.OK, f"{mode} after a move that ended with {state.done_result}"),
         (has_arrived and state.path != FULL, f"{mode} after {state.path / 100:g} % of the path"),
         (
-            done not in (0, ack) and is_newer(done, ack),
-            f"move {done} ended, but {ack} is the last answered command",
+            done_sequence not in (0, ack) and is_newer(done_sequence, ack),
+            f"move {done_sequence} ended, but {ack} is the last answered command",
         ),
         (len(state.axes) != n_axes, f"it reports {len(state.axes)} axes instead of {n_axes}"),
     )
@@ -167,8 +167,8 @@ def require_completed(state: RobotState) -> None:
     fault = latched_fault(state)
     if state.done_result != Result.OK or fault:
         kind = EmergencyStopError if state.mode is Mode.EMERGENCY_STOP else FaultError
-        done = "the move had just ended; " if state.done_result == Result.OK else ""
-        raise kind(f"{fault or describe_result(state.done_result)}; {done}{position}", state.fault_code)
+        note = "the move had just ended; " if state.done_result == Result.OK else ""
+        raise kind(f"{fault or describe_result(state.done_result)}; {note}{position}", state.fault_code)
 
 
 def require_arrived(move: Move, state: RobotState, elapsed: float, fastest: float) -> None:
@@ -180,14 +180,14 @@ def require_arrived(move: Move, state: RobotState, elapsed: float, fastest: floa
         elapsed: time from the command to its end [s], controller's clock.
         fastest: duration of the fastest profile [s].
     """
-    goal, done = move.set_points[-1], "the controller reports the end of the move"
+    goal, report = move.set_points[-1], "the controller reports the end of the move"
     if state.mode is not Mode.IN_POSITION:
-        raise ArrivalError(f"{done}, but its mode is {state.mode.name.lower()}, not in position")
+        raise ArrivalError(f"{report}, but its mode is {state.mode.name.lower()}, not in position")
     if np.abs(state.axes.astype(np.int64) - goal).max() > MAX_ARRIVAL_ERROR:
-        raise ArrivalError(f"{done}, but the arm is at {format_axes(state.axes)}, not {format_axes(goal)}")
+        raise ArrivalError(f"{report}, but the arm is at {format_axes(state.axes)}, not {format_axes(goal)}")
     if elapsed < MIN_TIME_FACTOR * fastest:
         raise ArrivalError(
-            f"{done} after {elapsed:.3f} s; an arm with these limits needs at least {fastest:.3f} s: the controller "
+            f"{report} after {elapsed:.3f} s; an arm with these limits needs at least {fastest:.3f} s: the controller "
             "did not drive it, or is faster than real time and does not report its time scale"
         )
 

@@ -69,13 +69,13 @@ def freeze(value: Value, /, **lengths: int) -> None:
     """
     fields = _declared(type(value))  # type: ignore[arg-type]  # mypy takes the hash of a class for its instances'
     for name, dtype, axes, optional in fields:
-        given = getattr(value, name)
-        if given is None and optional:
+        content = getattr(value, name)
+        if content is None and optional:
             continue
         if dtype is None:
-            _check_shape(name, (len(given),), axes, lengths)
+            _check_shape(name, (len(content),), axes, lengths)
             continue
-        array = np.array(given, dtype=dtype, order="C", copy=True)
+        array = np.array(content, dtype=dtype, order="C", copy=True)
         _check_shape(name, array.shape, axes, lengths)
         object.__setattr__(value, name, _sealed(name, array))
 

@@ -116,7 +116,7 @@ def kernels_compiled_once(shared: Path) -> Iterator[None]:
 def made_once(shared: Path) -> Callable[[str, Callable[[Path], object]], Path]:
     """Return a function that makes a folder in the first worker while others wait. Tests must not change the folder."""
 
-    def made(name: str, make: Callable[[Path], object]) -> Path:
+    def make_once(name: str, make: Callable[[Path], object]) -> Path:
         folder, finished = shared / name, shared / f"{name}.finished"
         with FileLock(shared / f"{name}.lock"):
             if not finished.exists():
@@ -126,7 +126,7 @@ def made_once(shared: Path) -> Callable[[str, Callable[[Path], object]], Path]:
                 finished.touch()
         return folder
 
-    return made
+    return make_once
 
 
 @pytest.fixture(scope="session")
@@ -164,13 +164,13 @@ def run_cell(cache: Path) -> RunCommand:
     return run
 
 
-class _Looks:
+class _Drawing:
     """State whether this process draws pictures and pages or leaves empty files in their place.
 
     Most tests need no picture. Drawing takes half of the time of a small plan and more than half of that of a scan.
     """
 
-    drawn = False
+    is_enabled = False
 
 
 class _DrawingHere(plots.PlotProcess):
@@ -180,7 +180,7 @@ class _DrawingHere(plots.PlotProcess):
         self._sent = []
 
     def _post(self, what: str, path: Path, **arrays: Any) -> None:
-        if _Looks.drawn:
+        if _Drawing.is_enabled:
             plots.draw(what, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
         elif not path.is_dir():
             path.write_bytes(b"")
@@ -190,17 +190,17 @@ class _DrawingHere(plots.PlotProcess):
         pass
 
 
-def _only_where_looked_at(draw: Callable[..., object], result: object) -> Callable[..., object]:
+def _only_where_enabled(draw: Callable[..., object], result: object) -> Callable[..., object]:
     """Return a function that draws if drawing is enabled. Otherwise it writes an empty file or returns `result`."""
 
-    def drawn(*arguments: Any, **named: Any) -> object:
-        if _Looks.drawn:
-            return draw(*arguments, **named)
+    def draw_if_enabled(*arguments: Any, **keywords: Any) -> object:
+        if _Drawing.is_enabled:
+            return draw(*arguments, **keywords)
         if result is Path:
             next(path for path in arguments if isinstance(path, Path)).write_bytes(b"")
         return result
 
-    return drawn
+    return draw_if_enabled
 
 
 _PICTURES = (
@@ -215,9 +215,9 @@ _CANVASES = ("cell.scan.results.canvas_of", "cell.why.explain.canvas_of")
 
 
 @contextlib.contextmanager
-def _drawn() -> Iterator[None]:
+def _drawing() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_Looks, "drawn", True)
+        patch.setattr(_Drawing, "is_enabled", True)
         yield
 
 
@@ -228,7 +228,7 @@ def drawing_is_here() -> Iterator[None]:
         patch.setattr(plots, "plot_process", lambda: contextlib.nullcontext(_DrawingHere()))
         for names, instead in ((_PICTURES, Path), (_PAGES, ""), (_CANVASES, None)):
             for name in names:
-                patch.setattr(name, _only_where_looked_at(resolve_name(name), instead))
+                patch.setattr(name, _only_where_enabled(resolve_name(name), instead))
         yield
 
 
@@ -265,15 +265,15 @@ def nothing_waits_for_the_disk() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def drawn() -> Callable[[], contextlib.AbstractContextManager[None]]:
+def drawing() -> Callable[[], contextlib.AbstractContextManager[None]]:
     """Return a context manager in which this process draws pictures and pages."""
-    return _drawn
+    return _drawing
 
 
 @pytest.fixture
 def drawn_pictures() -> Iterator[None]:
     """Enable drawing of pictures and pages in this process for one test."""
-    with _drawn():
+    with _drawing():
         yield
 
 
@@ -311,8 +311,8 @@ def data_of() -> Callable[[str], dict[str, Any]]:
     """Return a function that reads the data of a page's script."""
 
     def read(page: str) -> dict[str, Any]:
-        kept = r'<script type="application/json" id="(?:page-scene|page-contents)">(.*?)</script>'
-        stage, play = re.findall(kept, page, re.DOTALL)
+        pattern = r'<script type="application/json" id="(?:page-scene|page-contents)">(.*?)</script>'
+        stage, play = re.findall(pattern, page, re.DOTALL)
         return json.loads(stage) | json.loads(play)
 
     return read
@@ -335,11 +335,11 @@ def planned(made_once: Callable[..., Path], part_file: Path, run_cell: RunComman
     """Return the run folder of one finished plan of the small part."""
 
     def make(folder: Path) -> None:
-        with _drawn():
-            done = run_cell(
+        with _drawing():
+            process = run_cell(
                 "plan", part_file, "--units", "mm", *_SMALL_PLAN, "--out", "run", "--json", cwd=folder, code=0
             )
-        assert json.loads(done.stdout)["n_views"] > 1
+        assert json.loads(process.stdout)["n_views"] > 1
 
     return made_once("planned", make) / "run"
 
@@ -349,8 +349,8 @@ def made_setups(made_once: Callable[..., Path], part_file: Path, run_cell: RunCo
     """Return the folder of the small part's set-ups, chosen from four candidates. The file `stdout` is next to it."""
 
     def make(folder: Path) -> None:
-        done = run_cell("setups", part_file, *_SMALL_SETUPS, "--proposals", "4", "--out", "made", cwd=folder, code=0)
-        (folder / "stdout").write_text(done.stdout)
+        process = run_cell("setups", part_file, *_SMALL_SETUPS, "--proposals", "4", "--out", "made", cwd=folder, code=0)
+        (folder / "stdout").write_text(process.stdout)
 
     return made_once("setups", make) / "made"
 
@@ -377,9 +377,9 @@ def swept(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand)
             *_SMALL_PLAN[-4:-2],
         )
         more = ("--coverage", "0.7", "--scene", "line.toml", "--out", "run", "--json")
-        done = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder, code=0)
-        (folder / "stdout").write_text(done.stdout)
-        (folder / "stderr").write_text(done.stderr)
+        process = run_cell("plan", part_file, "--units", "mm", *options, *more, cwd=folder, code=0)
+        (folder / "stdout").write_text(process.stdout)
+        (folder / "stderr").write_text(process.stderr)
 
     return made_once("swept", make) / "run"
 
@@ -390,8 +390,8 @@ def resealed() -> Callable[[Path], str]:
 
     def seal(run: Path) -> str:
         manifest = json.loads((run / "manifest.json").read_text())
-        named = {name: run / name for name in manifest["artefacts"]}
-        shas = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in named.items()}
+        paths = {name: run / name for name in manifest["artefacts"]}
+        shas = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in paths.items()}
         manifest |= {"artefacts": shas, "digest": digest.plan_digest(shas)}
         (run / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
         return str(manifest["digest"])
@@ -405,9 +405,9 @@ def executed(made_once: Callable[..., Path], planned: Path, run_cell: RunCommand
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "run")
-        with _drawn():
-            done = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder, code=0)
-        (folder / "scan.json").write_text(done.stdout)
+        with _drawing():
+            process = run_cell("scan", "run", "--resolution", "1", "--json", cwd=folder, code=0)
+        (folder / "scan.json").write_text(process.stdout)
 
     return made_once("executed", make) / "run"
 
@@ -425,7 +425,7 @@ def turned(made_once: Callable[..., Path], part_file: Path, small_plan: tuple[st
     return made_once("turned", make) / "run"
 
 
-_KEPT_TERMINALS: list[int] = []
+_OPEN_TERMINALS: list[int] = []
 """Pseudo-terminals of emulators, held to the end of the session: the system gives a freed one's name to the next that
 is opened, and a client that looks for its dead controller would find that of another test."""
 
@@ -454,7 +454,7 @@ class Emulated:
         assert url, "the emulator did not start"
         terminal = Path(urlsplit(url).path)
         if terminal.is_char_device():
-            _KEPT_TERMINALS.append(os.open(terminal, os.O_RDWR | os.O_NOCTTY))
+            _OPEN_TERMINALS.append(os.open(terminal, os.O_RDWR | os.O_NOCTTY))
         return url
 
     def entries(self, *events: str) -> list[dict[str, Any]]:

@@ -223,9 +223,9 @@ def _numbers(values: tuple[float, ...]) -> str:
 
 def bored_block(unit: str = "mm") -> str:
     """A block of 60 x 40 x 30 with a hole of diameter 16 at its middle, its lowest corner at the origin."""
-    made = StepFile(unit)
-    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
-    return made.text()
+    file = StepFile(unit)
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    return file.text()
 
 
 BLOCK_VOLUME = 60 * 40 * 30 - pi * 8**2 * 30

@@ -54,7 +54,7 @@ def clr(n: int) -> tuple[Any, _Ints]:
     Returns:
         (2^(n - 1) - 1, n choose 4) csr_array of bool, and the costs, which are 1.
     """
-    subsets = np.array([sum(1 << n - 1 - point for point in chosen) for chosen in combinations(range(n), 4)])
+    subsets = np.array([sum(1 << n - 1 - point for point in subset) for subset in combinations(range(n), 4)])
     colourings = np.arange(1, 2 ** (n - 1))[:, None]
     shared = subsets & colourings
     return sp.csr_array((shared == 0) | (shared == subsets)), np.ones(len(subsets), dtype=np.int64)

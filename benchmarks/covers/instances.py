@@ -86,11 +86,11 @@ def load(name: str, weighted: bool) -> Instance:
             indices, indptr = (file[name].astype(np.int32) for name in ("indices", "indptr"))  # as in the planner
             M = sp.csr_array((ones, indices, indptr), shape=tuple(file["shape"]))
             return Instance(M, np.ones(M.shape[1], np.int64), file["area"], file["reachable"])
-    made = generate(name)
-    if made is None:
+    problem = generate(name)
+    if problem is None:
         file = read(Path(name))
-        made = file.matrix, file.costs
-    M, costs = made
+        problem = file.matrix, file.costs
+    M, costs = problem
     M.sort_indices()
     m, n = M.shape
     return Instance(M, costs if weighted else np.ones(n, np.int64), np.ones(m), np.ones(n, dtype=bool))

@@ -100,10 +100,10 @@ def _improve(
 @njit(cache=True)
 def _pick(among: Any, is_selected: bool, tabu: int, below: int, costs: Any, columns: Any) -> int:
     """Return the allowed column, in or out, below a cost, with the largest score for its cost; or -1."""
-    chosen, allowed, score, age, _, _ = columns
+    is_chosen, allowed, score, age, _, _ = columns
     best = -1
     for j in among:
-        if chosen[j] != is_selected or j == tabu or not (is_selected or (allowed[j] and costs[j] < below)):
+        if is_chosen[j] != is_selected or j == tabu or not (is_selected or (allowed[j] and costs[j] < below)):
             continue
         more = 1 if best < 0 else score[j] * costs[best] - score[best] * costs[j]
         if more > 0 or (more == 0 and age[j] < age[best]):
@@ -117,9 +117,9 @@ def _flip(
 ) -> None:
     """Select or remove a column and update the scores."""
     covered, weight, open_rows, open_place = rows
-    chosen, allowed, score, age, inside, inside_place = columns
-    sign = -1 if chosen[j] else 1
-    chosen[j], allowed[j], score[j] = sign > 0, False, -score[j]
+    is_chosen, allowed, score, age, inside, inside_place = columns
+    sign = -1 if is_chosen[j] else 1
+    is_chosen[j], allowed[j], score[j] = sign > 0, False, -score[j]
     n[_COST], n[_TIME] = n[_COST] + sign * costs[j], n[_TIME] + 1
     age[j], n[_INSIDE] = n[_TIME], _move(inside, inside_place, j, n[_INSIDE], sign)
     for i in c_rows[c_start[j] : c_start[j + 1]]:
@@ -132,7 +132,7 @@ def _flip(
                     allowed[r_cols[q]] = True
         elif covered[i] == 1 + (sign > 0):  # one other column covers it alone, until now or from now on
             for q in range(r_start[i], r_start[i + 1]):
-                if chosen[r_cols[q]] and r_cols[q] != j:
+                if is_chosen[r_cols[q]] and r_cols[q] != j:
                     score[r_cols[q]] += sign * weight[i]
                     break
 

@@ -16,9 +16,6 @@ from planner import cover
 from planner.cover.budget import DEFAULT_EFFORT, EFFORT_PER_SECOND, UNLIMITED_EFFORT
 from planner.errors import PlannerError
 
-DEFAULT_BUDGET_S = DEFAULT_EFFORT / EFFORT_PER_SECOND
-"""Budget of counted effort without options [s of a usual core]."""
-
 _SEARCH = "Search"
 
 

@@ -31,8 +31,8 @@ _OVER = np.radians((0, 45, 90))
 
 def density_frontier(setting: str) -> Policy:
     """Return the policy of a setting: resolution radius in edges of a voxel, and rule for the next view."""
-    edges, chosen = setting.split(", ")
-    return lambda lab, rng: _Explorer(lab, float(edges), chosen == "most")
+    edges, rule = setting.split(", ")
+    return lambda lab, rng: _Explorer(lab, float(edges), rule == "most")
 
 
 SETTINGS = ("6, nearest", "6, most", "12, nearest", "12, most")
@@ -51,11 +51,11 @@ class _Explorer:
         often = np.zeros(len(frontier), dtype=np.int64)
         if len(self._tried) and len(frontier):
             often = cKDTree(self._tried).query_ball_point(points[frontier], self._radius, return_length=True)
-        kept = np.flatnonzero(often < len(_OVER))
-        if not len(kept):
+        rows = np.flatnonzero(often < len(_OVER))
+        if not len(rows):
             return None
-        kept = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
-        frontier, over = frontier[kept], _OVER[often[kept]][:, None]
+        rows = rows[np.linspace(0, len(rows) - 1, min(_MOST, len(rows))).astype(int)]
+        frontier, over = frontier[rows], _OVER[often[rows]][:, None]
         local = [_normal_and_way_out(points, tree, at, self._radius, towards[at]) for at in frontier]
         normals, out = (np.stack(each) for each in zip(*local, strict=True))
         normals = np.cos(over) * normals + np.sin(over) * out

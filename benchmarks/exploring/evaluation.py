@@ -181,6 +181,6 @@ def _nearest(run: Run, stages: Sequence[Path]) -> tuple[float, str]:
     found: list[tuple[float, str]] = []
     for stage in stages:
         motion = open_finished(stage).motion
-        kept = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment.max()) + 1)
-        found += list(zip(kept.distance.tolist(), kept.between, strict=True))
+        clearances = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment.max()) + 1)
+        found += list(zip(clearances.distance.tolist(), clearances.between, strict=True))
     return min(found)

@@ -75,7 +75,7 @@ class Lab:
     Attributes:
         cylinder: known cylinder that contains the part.
         scanner: the sensor model.
-        eye: where it looks.
+        frustum: of the sensor.
         settings: standoffs, rolls and faces of a plan.
         unknown: the voxels before the first view.
         part: the true part; policies do not use it.

@@ -39,10 +39,10 @@ class _Ours:
         lab, space = self._lab, self._learned(known)
         mesh = belief.surface_about(space, space.belief_voxels())
         planning = decimate(belief.coarse_surface(space), lab.settings.faces)
-        asked = BatchRequest(space, self._record, Batch(1), 0.0)
+        request = BatchRequest(space, self._record, Batch(1), 0.0)
         rows, scouts = (
-            expected_samples(draw_samples(mesh, planning, N_DRAWN, self._rng), asked, kept)
-            for kept in (MAX_ROWS, MAX_SCOUTS)
+            expected_samples(draw_samples(mesh, planning, N_DRAWN, self._rng), request, limit)
+            for limit in (MAX_ROWS, MAX_SCOUTS)
         )
         if not len(rows) or not len(scouts):
             return None

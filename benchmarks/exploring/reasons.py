@@ -17,10 +17,10 @@ from scipy.spatial import cKDTree
 
 from cell.explore import state
 from cell.explore.belief import (
+    MISSED,
     NEAR_MEASURED,
     NOT_SELECTED,
     REMAINDER,
-    TRIED,
     UncoveredReport,
     closest_causes,
     describe_cause,
@@ -41,7 +41,7 @@ from planner.values import Bools, Floats
 from planner.why.why import Reason
 
 
-def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
+def check_causes(work: ExplorationContext, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
     """Return the open area [mm2] of each stated sentence, and the area for which the sentence is true.
 
     Args:
@@ -81,7 +81,7 @@ def _true(work: ExplorationContext, file: ExploreFile, reported: UncoveredReport
     same |= (reported.reason == NOT_SELECTED) & (there == Reason.NOT_SELECTED)
     same |= (reported.reason >= Reason.OUT_OF_REACH) & (there != Reason.NOT_SELECTED)
     edge, poses = work.unknown.edge, _poses(work, file, to_object)
-    same |= (reported.reason == TRIED) & (_measured_beside(samples.points, poses, cell, edge) < 0.5)
+    same |= (reported.reason == MISSED) & (_measured_beside(samples.points, poses, cell, edge) < 0.5)
     same |= (reported.reason == REMAINDER) & (_measured_beside(samples.points, poses, cell, NEAR_MEASURED * edge) > 0)
     return same
 

@@ -32,8 +32,8 @@ def uniform(space: str) -> Policy:
 
         def next_view(known: Knowledge) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
-            taken = np.stack([T[:3, 3] for T in known.poses])
-            away = np.linalg.norm(usable[:, None, :3, 3] - taken[None], axis=2).min(axis=1)
+            positions = np.stack([T[:3, 3] for T in known.poses])
+            away = np.linalg.norm(usable[:, None, :3, 3] - positions[None], axis=2).min(axis=1)
             return usable[int(np.argmax(away))]
 
         return next_view
@@ -49,9 +49,9 @@ def random(space: str) -> Policy:
 
         def next_view(known: Knowledge) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
-            chosen = usable[rng.integers(len(usable))].copy()
-            chosen[:3, :3] = chosen[:3, :3] @ rotation_matrices(np.array([[0.0, 0.0, rng.uniform(0, 2 * np.pi)]]))[0]
-            return chosen
+            pose = usable[rng.integers(len(usable))].copy()
+            pose[:3, :3] = pose[:3, :3] @ rotation_matrices(np.array([[0.0, 0.0, rng.uniform(0, 2 * np.pi)]]))[0]
+            return pose
 
         return next_view
 
@@ -80,8 +80,8 @@ def volumetric(space: str) -> Policy:
             usable = poses[lab.free(known.space)(poses)]
             space = known.space
             state = np.where((space.state == UNKNOWN) & (space.votes > 0), FREE, space.state).astype(np.uint8)
-            judged = replace(known, space=replace(space, state=state))
-            gains = [_unknown_along(lab, judged, T, rays) for T in usable]
+            free_space = replace(known, space=replace(space, state=state))
+            gains = [_unknown_along(lab, free_space, T, rays) for T in usable]
             return usable[int(np.argmax(gains))] if max(gains, default=0) > 0 else None
 
         return next_view

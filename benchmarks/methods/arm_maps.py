@@ -27,7 +27,6 @@ from planner.values import Floats
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)
 _INNER = 0.95  # share of the joint range: poses near singularities and edges are not near the limits
 _SAME_POSE = 1e-9  # m and 1: two poses
-_SAME_BRANCH = 1e-3  # rad; distinct branches of one pose are farther apart
 _OURS = "closed form"
 _NUMERIC_STARTS, _NUMERIC_GOOD = 4, 1e-7  # starts of the numeric inverse; its tolerance in m and rad
 
@@ -43,7 +42,7 @@ def _forearm() -> tuple[float, float]:
     return float(np.hypot(arm.d4, arm.a3)), float(-np.arctan2(-arm.a3, arm.d4))
 
 
-def _drawn(count: int, seed: int = 0) -> Floats:
+def _draw(count: int, seed: int = 0) -> Floats:
     """Return (count, 6) joint angles within the inner part of the range."""
     limits = _kinematics().limits
     rng = np.random.default_rng(seed)
@@ -54,7 +53,7 @@ def singular(line: str, distance: float, count: int) -> MapPoint:
     """Test inverse kinematics near the singularities: share of poses with exact branches, and residual."""
     kinematics = _kinematics()
     forearm, stretched = _forearm()
-    q = _drawn(count)
+    q = _draw(count)
     q[:, 4] = np.where(np.abs(q[:, 4]) < 0.2, 0.2, q[:, 4])
     if line == "wrist straight":
         q[:, 4] = distance
@@ -85,21 +84,21 @@ def limit(line: str, inside_deg: float, count: int) -> MapPoint:
     """Test joint limits: set-points inside the range are kept, set-points outside are refused."""
     kinematics, limits = _kinematics(), _kinematics().limits
     axis = int(line.removeprefix("A")) - 1
-    q = _drawn(count)
+    q = _draw(count)
     q[:, 4] = np.where(np.abs(q[:, 4]) < 0.2, 0.2, q[:, 4])
     q[:, axis] = limits.upper[axis] - np.radians(inside_deg)
     branches = kinematics.inverse(kinematics.forward(q))
     off = np.abs((branches - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
     own = branches[np.arange(len(q)), np.nanargmin(off, axis=1)][:, None]
     found = setpoints(own, limits)
-    kept = np.isin(np.arange(len(q)), found.pose)
-    beyond = np.maximum(found.q - limits.upper, limits.lower - found.q).max(initial=0.0)
-    wanted = inside_deg >= 0
+    is_found = np.isin(np.arange(len(q)), found.pose)
+    excess = np.maximum(found.q - limits.upper, limits.lower - found.q).max(initial=0.0)
+    is_expected = inside_deg >= 0
     doubtful = abs(np.radians(inside_deg)) <= _HALF_STEP  # rounds onto the limit
-    right = np.ones(len(q), dtype=np.bool_) if doubtful else kept == wanted
+    right = np.ones(len(q), dtype=np.bool_) if doubtful else is_found == is_expected
     return MapPoint(
-        float(right.mean()), max(float(np.degrees(beyond)), 0.0), "" if kept.all() else Verdict.JOINT_LIMIT.sentence,
-        {"kept %": 100 * float(kept.mean())},
+        float(right.mean()), max(float(np.degrees(excess)), 0.0),
+        "" if is_found.all() else Verdict.JOINT_LIMIT.sentence, {"kept %": 100 * float(is_found.mean())},
     )  # fmt: skip
 
 
@@ -107,7 +106,7 @@ def reached(line: str, inside_mm: float, count: int) -> MapPoint:
     """Test reach at the edge of the envelope: share of correct answers for poses surely inside or outside."""
     kinematics = _kinematics()
     arm, (forearm, stretched) = kinematics.arm, _forearm()
-    q = _drawn(4 * count if line == _OURS else count)
+    q = _draw(4 * count if line == _OURS else count)
     q[:, 4] = np.where(np.abs(q[:, 4]) < 0.2, 0.2, q[:, 4])
     q = q[np.cos(q[:, 1]) > 0]  # the wrist centre in front of A1: overhead the other shoulder reaches farther
     inside = inside_mm / 1000
@@ -122,17 +121,17 @@ def reached(line: str, inside_mm: float, count: int) -> MapPoint:
         T[:, :3, 3] -= inside * direction
     if line == _OURS:
         found = setpoints(kinematics.inverse(T), kinematics.limits)
-        kept = np.isin(np.arange(len(q)), found.pose)
+        is_found = np.isin(np.arange(len(q)), found.pose)
         reached_at = kinematics.forward(found.q)[:, :3, 3] - T[found.pose, :3, 3]
         error = float(np.linalg.norm(reached_at, axis=1).max()) if len(found.q) else None
         says = "" if found.real.all() else Verdict.OUT_OF_REACH.sentence
     else:
         residual = np.array([_numeric(pose, index) for index, pose in enumerate(T)])
-        kept = residual <= _NUMERIC_GOOD
-        error, says = (float(residual[kept].max()) if kept.any() else None), ""
-    right = (kept == (inside > 0)) | (abs(inside) <= STRETCH_TOLERANCE)
+        is_found = residual <= _NUMERIC_GOOD
+        error, says = (float(residual[is_found].max()) if is_found.any() else None), ""
+    right = (is_found == (inside > 0)) | (abs(inside) <= STRETCH_TOLERANCE)
     return MapPoint(
-        float(right.mean()), None if error is None else 1e6 * error, says, {"found %": 100 * float(kept.mean())}
+        float(right.mean()), None if error is None else 1e6 * error, says, {"found %": 100 * float(is_found.mean())}
     )
 
 

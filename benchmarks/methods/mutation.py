@@ -50,14 +50,14 @@ def choose_mutants(paths: list[Path], count: int, seed: int, root: Path = ROOT) 
     """Return seeded mutants of modules; annotations, messages and assertions are not changed."""
     trees = {path: ast.parse((root / path).read_text(encoding="utf-8")) for path in paths}
     pool = [(path, *change) for path, tree in trees.items() for change in _changes(tree)]
-    chosen = []
+    mutants = []
     for path, node, field, index, changed in random.Random(seed).sample(pool, min(count, len(pool))):
         before, original = ast.unparse(node), getattr(node, field)
         setattr(node, field, changed if index is None else [*original[:index], changed, *original[index + 1 :]])
         line = getattr(node, "lineno", 0)
-        chosen.append(Mutant(path, line, before, ast.unparse(node), ast.unparse(trees[path]) + "\n"))
+        mutants.append(Mutant(path, line, before, ast.unparse(node), ast.unparse(trees[path]) + "\n"))
         setattr(node, field, original)
-    return chosen
+    return mutants
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str, int | None, Any]]:

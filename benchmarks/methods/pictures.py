@@ -41,9 +41,9 @@ def _run(folder: Path, *words: object) -> None:
     """Run Python in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *map(str, words)]
-    done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
-    if done.returncode:
-        raise CellError(f"{' '.join(map(str, words))} ended with code {done.returncode}")
+    process = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
+    if process.returncode:
+        raise CellError(f"{' '.join(map(str, words))} ended with code {process.returncode}")
 
 
 def _default_plan(folder: Path) -> None:
@@ -86,12 +86,12 @@ def _benchmark(name: str) -> Maker:
     return lambda folder: _python(folder, "benchmarks", name, "--charts", ".")
 
 
-def _study(words: str, made: str, picture: str) -> Maker:
-    """Run a study in its folder; `made` is the name of the picture in the study."""
+def _study(words: str, source: str, picture: str) -> Maker:
+    """Run a study in its folder; `source` is the name of the picture in the study."""
 
     def make(folder: Path) -> None:
         _python(folder, *words.split(), "--out", "study")
-        shutil.copy(folder / "study" / made, folder / picture)
+        shutil.copy(folder / "study" / source, folder / picture)
 
     return make
 
@@ -123,32 +123,32 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     **{(each := f"paper_{name}.png",): _study(f"benchmarks paper {name}", f"{name}.png", each) for name in _TABLES},
     **{(each := f"stability_{name}.png",): _study(f"benchmarks stability {name}", each, each) for name in MAPS},
 }  # fmt: skip
-MADE = {picture: names for names in (*QUICK, *LONG) for picture in names}
+GROUPS = {picture: names for names in (*QUICK, *LONG) for picture in names}
 
 app = typer.Typer(add_completion=False)
 
 
 @app.command()
 def pictures(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[FILE.png ...]", help=", ".join(MADE))] = None,
+    names: Annotated[list[str] | None, typer.Argument(metavar="[FILE.png ...]", help=", ".join(GROUPS))] = None,
     into: Annotated[Path, typer.Option(metavar="DIR", help="Where they go.")] = IMAGES,
 ) -> None:
     """Draw pictures of the documentation again; without names those that take seconds."""
-    if unknown := sorted(set(names or []) - set(MADE)):
-        raise UsageError(f"no picture is called {', '.join(unknown)}; there are {', '.join(MADE)}")
-    chosen = dict.fromkeys(MADE[name] for name in names) if names else QUICK
-    for made in chosen:
+    if unknown := sorted(set(names or []) - set(GROUPS)):
+        raise UsageError(f"no picture is called {', '.join(unknown)}; there are {', '.join(GROUPS)}")
+    groups = dict.fromkeys(GROUPS[name] for name in names) if names else QUICK
+    for group in groups:
         with TemporaryDirectory() as folder:
-            {**QUICK, **LONG}[made](Path(folder))
-            for picture in _wanted(made, names):
+            {**QUICK, **LONG}[group](Path(folder))
+            for picture in _requested(group, names):
                 if (Path(folder) / picture).is_file():
                     _keep(Path(folder) / picture, into)
                 else:
                     typer.echo(f"{picture} was not drawn: there is no chromium")
 
 
-def _wanted(made: Sequence[str], names: Sequence[str] | None) -> list[str]:
-    return [picture for picture in made if not names or picture in names]
+def _requested(group: Sequence[str], names: Sequence[str] | None) -> list[str]:
+    return [picture for picture in group if not names or picture in names]
 
 
 @cache  # read before the first picture is written, which changes the tree

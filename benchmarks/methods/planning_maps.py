@@ -177,14 +177,14 @@ _STANDOFF_M, _ROLLS = 0.3, (0.0, np.pi / 2)
 def _evaluated_part(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
     """Return a part, its ray caster, and samples for the evaluation."""
     mesh = body(5).reference if line == _BUMPY else builtin.load(line)
-    judged = draw_samples(mesh, mesh, samples, np.random.default_rng(1))
-    return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), judged
+    held_out = draw_samples(mesh, mesh, samples, np.random.default_rng(1))
+    return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), held_out
 
 
 @lru_cache(maxsize=2)
 def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, float]:
     """Return measured share and views of a plan, faces of its planning mesh, and deviation of the part from that."""
-    mesh, caster, judged = _evaluated_part(line, samples)
+    mesh, caster, held_out = _evaluated_part(line, samples)
     planning, scanner = decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)
     features = draw_samples(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
@@ -192,7 +192,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
     plan = cover.solve(
         cover.CoverProblem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", effort_budget=0
     )
-    visible = coverage.visible_coverage(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
+    visible = coverage.visible_coverage(views.T_object_scanner[plan.views], held_out, scanner, (caster,)).fraction
     return visible, len(plan.views), len(planning.faces), validation.mesh_deviation(features, planning)
 
 

@@ -59,7 +59,7 @@ def _in_sight(count: int) -> Floats:
     return np.asarray(samples.points[seen])
 
 
-def _judged(result: Reconstruction, count: int) -> MapPoint:
+def _evaluate(result: Reconstruction, count: int) -> MapPoint:
     says = " ".join(result.doubts) if result.mesh is not None else result.status.value
     spacing = {"spacing mm": 1e3 * result.spacing if np.isfinite(result.spacing) else None}
     if result.mesh is None:
@@ -76,14 +76,14 @@ def _judged(result: Reconstruction, count: int) -> MapPoint:
 
 def sparse(line: str, step_deg: float, count: int) -> MapPoint:
     """Evaluate the surface of scans with a larger angle between rays."""
-    return _judged(reconstruct(merge(list(_scans(step_deg)))), count)
+    return _evaluate(reconstruct(merge(list(_scans(step_deg)))), count)
 
 
 def noise(line: str, spacings: float, count: int) -> MapPoint:
     """Evaluate the surface of scans with noise along the rays, in point spacings."""
     step = float(line.split()[0])
     spacing = _spacing(step)
-    point = _judged(reconstruct(merge(noisy(list(_scans(step)), spacings * spacing))), count)
+    point = _evaluate(reconstruct(merge(noisy(list(_scans(step)), spacings * spacing))), count)
     if point.error is None:
         return point
     return replace(point, error=point.error / 100 * _diagonal() / spacing)

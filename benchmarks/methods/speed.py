@@ -33,7 +33,7 @@ ELSEWHERE = {
 }
 """What else trades speed for accuracy, and the benchmark that measures it."""
 
-_SHOWN = ("knob", "part", "value", "seconds", "processor s", "error", "unit", "views")
+_COLUMNS = ("knob", "part", "value", "seconds", "processor s", "error", "unit", "views")
 
 app = typer.Typer(add_completion=False)
 
@@ -57,17 +57,17 @@ def speed(
     repeats: Annotated[int, typer.Option(min=1, help="Runs of each work, of which the best counts.")] = 3,
 ) -> None:
     """Chart speed against accuracy: seconds and error of each knob."""
-    wanted = chosen(names or [])
-    if values is not None and len(wanted) != 1:
+    knobs = select_knobs(names or [])
+    if values is not None and len(knobs) != 1:
         raise UsageError("--values are those of one knob; name it, for instance samples --values 1,4")
-    given = None if values is None else KNOBS[wanted[0]].parsed(values)
+    settings = None if values is None else KNOBS[knobs[0]].parsed(values)
     base = scene_maker(part, scene, {})({})
-    study = speed_study([(name, base) for name in wanted], values=given, repeats=repeats)
+    study = speed_study([(name, base) for name in knobs], values=settings, repeats=repeats)
     alone = run.model_copy(update={"processes": run.processes or 1})  # several processes would disturb the timing
     run_and_print(lambda: study, alone, as_json=False)
 
 
-def chosen(names: Sequence[str]) -> list[str]:
+def select_knobs(names: Sequence[str]) -> list[str]:
     """Return the requested knobs; without names all of them.
 
     Raises:
@@ -103,7 +103,7 @@ def speed_study(
         return [_row(name, scene, value, found[trial]) for name, scene, value, trial in turned if trial in found]
 
     trials = [trial for *_, trial in turned]
-    return Study("speed", "Speed against accuracy", trials, rows, pictures, sentences, _SHOWN)
+    return Study("speed", "Speed against accuracy", trials, rows, pictures, sentences, _COLUMNS)
 
 
 def _part(scene: Scene) -> str:

@@ -67,7 +67,7 @@ def stability_study(names: Sequence[str], *, quick: bool = False) -> Study:
     for name in names:
         if name not in MAPS:
             raise UsageError(f"there is no stability map {name}; there are {', '.join(MAPS)}")
-    asked = [
+    requests = [
         (
             name,
             line,
@@ -82,10 +82,10 @@ def stability_study(names: Sequence[str], *, quick: bool = False) -> Study:
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         found = {outcome.trial: outcome.values for outcome in outcomes}
-        return [_row(name, line, value, found[trial]) for name, line, value, trial in asked if trial in found]
+        return [_row(name, line, value, found[trial]) for name, line, value, trial in requests if trial in found]
 
     return Study(
-        "stability", "Where each method breaks", [trial for *_, trial in asked], rows, pictures, sentences,
+        "stability", "Where each method breaks", [trial for *_, trial in requests], rows, pictures, sentences,
         ("map", "line", "value", "success %", "error", "says"),
     )  # fmt: skip
 
@@ -120,23 +120,23 @@ def broken_promises(rows: Sequence[Row]) -> list[Row]:
 
 def sentences(rows: Sequence[Row]) -> list[str]:
     """Return for each map the values at which the method is good, and the messages of the program."""
-    said = []
-    for name, drawn in by_map(rows).items():
+    summaries = []
+    for name, map_rows in by_map(rows).items():
         each = MAPS[name]
-        points = [row for row in drawn if row["line"] not in each.compared]
+        points = [row for row in map_rows if row["line"] not in each.compared]
         values = list(dict.fromkeys(row["value"] for row in points))
         bad = [value for value in values if not all(row["good"] for row in points if row["value"] == value)]
         spoken = [row for row in points if row["says"]]
         text = f"**{name}** ({each.parameter}): "
         text += "good at all values" if not bad else f"not good at {_listed(bad)}"
         if spoken:
-            told = [value for value in values if any(row["value"] == value for row in spoken)]
-            text += f"; the program speaks at {_listed(told)}, for instance: {spoken[0]['says']}"
+            warned = [value for value in values if any(row["value"] == value for row in spoken)]
+            text += f"; the program speaks at {_listed(warned)}, for instance: {spoken[0]['says']}"
         silent = sorted({row["value"] for row in broken_promises(points)})
         if silent:
             text += f"; **silent although not good at {_listed(silent)}**"
-        said.append(text if text.endswith((".", "?")) else f"{text}.")
-    return said
+        summaries.append(text if text.endswith((".", "?")) else f"{text}.")
+    return summaries
 
 
 def _listed(values: Sequence[float]) -> str:

@@ -27,9 +27,9 @@ class PaperBench(Bench):
         """The bench with more samples."""
         samples_per_face = DENSER * self.scene.plan.samples_per_face
         plan = self.scene.plan.model_copy(update={"samples_per_face": samples_per_face})
-        made = PaperBench(self.scene.model_copy(update={"plan": plan}), samples=self.n_samples)
-        made.is_denser = True
-        return made
+        bench = PaperBench(self.scene.model_copy(update={"plan": plan}), samples=self.n_samples)
+        bench.is_denser = True
+        return bench
 
 
 def fewest_for(

@@ -21,7 +21,7 @@ from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import BLUE, GREY, VERMILION
 
 PARAMETER = "parameter"
-_SHOWN = (
+_COLUMNS = (
     "table", "part", PARAMETER, "viewpoints", "views paper", "views rays", "views ours",
     "visible rays %", "visible ours %",
 )  # fmt: skip
@@ -57,7 +57,7 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
         parts: only rows of these parts; empty: all.
     """
     of_paper = tables()
-    asked = [
+    requests = [
         (name, paper, Trial.of(compute_row, _settings(name, paper, faces_share)))
         for name in (of_paper if table == "all" else [table])
         for paper in of_paper[name]
@@ -66,16 +66,18 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
-        return [_row(name, paper, values[trial]) for name, paper, trial in asked if trial in values]
+        return [_row(name, paper, values[trial]) for name, paper, trial in requests if trial in values]
 
     title = "The paper's tables" if table == "all" else f"The paper's Table {table.removeprefix('table')}"
-    settings = {(name, paper.part, _parameter(paper)): _settings(name, paper, faces_share) for name, paper, _ in asked}
+    settings = {
+        (name, paper.part, _parameter(paper)): _settings(name, paper, faces_share) for name, paper, _ in requests
+    }
 
     def options(row: Row) -> str:
         return plan_options(scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
 
-    trials = [trial for _, _, trial in asked]
-    return Study(table, title, trials, rows, pictures, sentences, _SHOWN, options)
+    trials = [trial for _, _, trial in requests]
+    return Study(table, title, trials, rows, pictures, sentences, _COLUMNS, options)
 
 
 def _parameter(paper: PaperRow) -> float | str:
@@ -136,28 +138,28 @@ def sentences(rows: Sequence[Row]) -> list[str]:
     """Summarise the rows."""
     fewer = [row["views ours at visible rays"] / row["views rays"] for row in rows]
     more = [row["visible ours at views rays %"] - row["visible rays %"] for row in rows]
-    lost = rows_lost(rows)
-    said = [
+    worse_rows = rows_lost(rows)
+    summaries = [
         "The scanner is `paper`: its range (0.5 to 1.5 times) and its baseline (a quarter) follow the standoff.",
         f"At the visible coverage of the paper's method (rays, Meta-RaPS) ours needs {np.mean(fewer):.2f} times "
         f"as many views on average ({min(fewer):.2f} to {max(fewer):.2f}); with its number of views ours measures "
         f"{np.mean(more):+.2f} points on average ({min(more):+.2f} to {max(more):+.2f}).",
     ]
-    said.append(
+    summaries.append(
         f"In all {len(rows)} rows ours needs no more views for its coverage and measures no less with its number of "
         f"views (to {TOLERANCE_POINTS:g} points)."
-        if not lost
-        else f"In {len(lost)} of {len(rows)} rows ours is worse: "
-        + "; ".join(f"Table {row['table']}, {row['part']}, {row[PARAMETER]}" for row in lost)
+        if not worse_rows
+        else f"In {len(worse_rows)} of {len(rows)} rows ours is worse: "
+        + "; ".join(f"Table {row['table']}, {row['part']}, {row[PARAMETER]}" for row in worse_rows)
         + "."
     )
     denser = sum(row["samples times"] > 1 for row in rows)
     if denser:
-        said.append(
+        summaries.append(
             f"In {denser} rows ours covers all its samples and the paper's method measures more; there these two "
             f"comparisons use {DENSER} times as many samples."
         )
-    return said
+    return summaries
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:

@@ -70,19 +70,19 @@ class _Decimated:
 
 def build(name: str) -> TriangleMesh:
     """Build a part [m]: implicit shape, marching cubes, decimation, bounds."""
-    made = _decimated(name)
+    mesh = _decimated(name)
     size = np.array(PART_MODELS[name].size_mm, np.float64)
-    return TriangleMesh(fit_bounds(made.vertices * made.diagonal_mm, size), made.faces)
+    return TriangleMesh(fit_bounds(mesh.vertices * mesh.diagonal_mm, size), mesh.faces)
 
 
 def packed(name: str) -> bytes:
     """Build a part and return its file."""
-    model, made = PART_MODELS[name], _decimated(name)
+    model, mesh = PART_MODELS[name], _decimated(name)
     low = np.array(model.low_mm, np.float64)
-    grid = ((made.vertices * made.diagonal_mm - low) / model.cell_mm).astype(np.float32)
-    exact = (grid.astype(np.float64) * model.cell_mm + low) / made.diagonal_mm == made.vertices
+    grid = ((mesh.vertices * mesh.diagonal_mm - low) / model.cell_mm).astype(np.float32)
+    exact = (grid.astype(np.float64) * model.cell_mm + low) / mesh.diagonal_mm == mesh.vertices
     on_grid = exact.all(axis=1)
-    corners = made.faces.astype(np.int64).ravel()
+    corners = mesh.faces.astype(np.int64).ravel()
     unused = np.maximum.accumulate(np.concatenate(([0], corners + 1)))[:-1]
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
@@ -90,11 +90,11 @@ def packed(name: str) -> bytes:
             ("n_vertices", np.array(len(on_grid)), zipfile.ZIP_STORED),
             ("low_mm", low, zipfile.ZIP_STORED),
             ("cell_mm", np.array(model.cell_mm), zipfile.ZIP_STORED),
-            ("diagonal_mm", np.array(made.diagonal_mm), zipfile.ZIP_STORED),
+            ("diagonal_mm", np.array(mesh.diagonal_mm), zipfile.ZIP_STORED),
             ("size_mm", np.array(model.size_mm, np.float64), zipfile.ZIP_STORED),
             ("on_grid", np.packbits(on_grid), zipfile.ZIP_LZMA),
             ("grid", grid[on_grid].T, zipfile.ZIP_LZMA),
-            ("off_grid", _byte_planes(made.vertices[~on_grid]), zipfile.ZIP_DEFLATED),
+            ("off_grid", _byte_planes(mesh.vertices[~on_grid]), zipfile.ZIP_DEFLATED),
             ("behind", (unused - corners).astype(np.int32), zipfile.ZIP_LZMA),
         ):
             entry = zipfile.ZipInfo(f"{key}.npy", _DATE)

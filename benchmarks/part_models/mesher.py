@@ -105,5 +105,5 @@ def _largest_body(faces: NDArray[np.int32], n_vertices: int) -> NDArray[np.int32
     rows, columns = faces[:, [0, 1]].T.ravel(), faces[:, [1, 2]].T.ravel()
     graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(n_vertices, n_vertices))
     label = connected_components(graph, directed=False)[1][faces[:, 0]]
-    kept: NDArray[np.int32] = faces[label == np.bincount(label).argmax()]
-    return kept
+    largest: NDArray[np.int32] = faces[label == np.bincount(label).argmax()]
+    return largest

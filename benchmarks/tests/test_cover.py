@@ -24,10 +24,10 @@ def fewest(M: Any, costs: Any, enough: Any) -> int:
     """Return the least cost of the sufficient column sets, by enumeration."""
     n = M.shape[1]
     return min(
-        int(costs[list(chosen)].sum())
+        int(costs[list(columns)].sum())
         for size in range(n + 1)
-        for chosen in combinations(range(n), size)
-        if enough(M[:, list(chosen)].sum(axis=1) > 0)
+        for columns in combinations(range(n), size)
+        if enough(M[:, list(columns)].sum(axis=1) > 0)
     )
 
 
@@ -110,7 +110,9 @@ def test_solvers_agree_with_brute_force(solver: Any, options: dict[str, Any]) ->
         best = fewest(dense, instance.costs, lambda covered: covered.sum() >= need)
         assert found["cost"] == best
     else:
-        best = max(int(dense[:, list(chosen)].any(axis=1).sum()) for chosen in combinations(range(14), task.max_views))
+        best = max(
+            int(dense[:, list(columns)].any(axis=1).sum()) for columns in combinations(range(14), task.max_views)
+        )
         assert found["covered"] == best
     assert answer.bound == pytest.approx(best, abs=0.999)
 
@@ -150,10 +152,10 @@ def test_reduced_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_
     (line,) = figures.covers(rows)
     assert line["best"] == line["ours"] == line["textbook"] == 8
     assert any(sentence.startswith("ours: 0.00 % over") for sentence in figures.sums([line]))
-    lines, told = figures.steady(rows)
+    lines, sentences = figures.steady(rows)
     assert len(lines) == 2
-    assert told == [told[0]]
-    assert " times the median" in told[0]
+    assert sentences == [sentences[0]]
+    assert " times the median" in sentences[0]
     assert figures.by_part(rows)[0].keys() == {"part", "alone, 1", "alone, 1, textbook"}
     (line,) = figures.large(rows[:1])
     assert line["gap %"] == pytest.approx(100 * (1 - rows[0]["bound"] / 8))

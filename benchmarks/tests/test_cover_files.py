@@ -26,10 +26,10 @@ FANO = "7 7\n1 2 3\n1 4 5\n1 6 7\n2 4 6\n2 5 7\n3 4 7\n3 5 6\n"
 
 def solved(run_benchmarks: Run, path: Path, *options: str) -> dict[str, object]:
     """Return the JSON of a successful run."""
-    done = run_benchmarks("cover", "solve", path.name, "--json", *options, cwd=path.parent)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    answer: dict[str, object] = json.loads(done.stdout)
+    process = run_benchmarks("cover", "solve", path.name, "--json", *options, cwd=path.parent)
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+    answer: dict[str, object] = json.loads(process.stdout)
     return answer
 
 
@@ -57,8 +57,8 @@ def test_steiner_triples_are_covered(run_benchmarks: Run, tmp_path: Path) -> Non
     answer = solved(run_benchmarks, path)
     assert answer["format"] == "steiner"
     assert (answer["n_views"], answer["lower_bound"], answer["status"]) == (3, 3, "proven")
-    chosen = set(answer["views"])
-    assert all(chosen & set(map(int, line.split())) for line in FANO.splitlines()[1:])
+    points = set(answer["views"])
+    assert all(points & set(map(int, line.split())) for line in FANO.splitlines()[1:])
 
 
 def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_benchmarks: Run, tmp_path: Path) -> None:
@@ -75,15 +75,15 @@ def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_benchmark
 def test_the_table_says_cover_bound_and_status(run_benchmarks: Run, tmp_path: Path) -> None:
     """The table states the problem, the status and the lower bound."""
     (tmp_path / "ring.txt").write_text(ROWS)
-    done = run_benchmarks("cover", "solve", "ring.txt", "--unicost", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    process = run_benchmarks("cover", "solve", "ring.txt", "--unicost", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
     for part in (
         "ring.txt: optimal for the 6 columns (bound 3)",
         "6 rows, 6 columns, 12 ones (rows)",
         "lower bound",
         "0.0 %",
     ):
-        assert part in re.sub(r" +\n", "\n", done.stdout)
+        assert part in re.sub(r" +\n", "\n", process.stdout)
 
 
 @pytest.mark.parametrize(
@@ -113,11 +113,11 @@ def test_wrong_uses_end_with_one_sentence(
     """The exit code is that of the error, and the message names the fault and the valid values."""
     if content is not None:
         (tmp_path / "file").write_text(content)
-    done = run_benchmarks("cover", "solve", "file", *options, cwd=tmp_path)
-    assert done.returncode == code, (done.stdout, done.stderr)
-    assert done.stderr.startswith("cell: ")
-    assert done.stderr.count("\n") == 1
-    assert sentence in done.stderr
+    process = run_benchmarks("cover", "solve", "file", *options, cwd=tmp_path)
+    assert process.returncode == code, (process.stdout, process.stderr)
+    assert process.stderr.startswith("cell: ")
+    assert process.stderr.count("\n") == 1
+    assert sentence in process.stderr
 
 
 def hard(path: Path) -> None:

@@ -36,7 +36,7 @@ def _columns(planned: Path) -> tuple[Bools, Floats, float]:
 def _most(sees: Bools, areas: Floats, count: int) -> float:
     """Return the largest share that `count` columns measure, by enumeration."""
     return max(
-        float(areas[sees[:, list(chosen)].any(axis=1)].sum()) for chosen in combinations(range(sees.shape[1]), count)
+        float(areas[sees[:, list(columns)].any(axis=1)].sum()) for columns in combinations(range(sees.shape[1]), count)
     )
 
 
@@ -77,8 +77,10 @@ def test_the_curve_is_tightened_by_the_fewest_views_for_a_coverage() -> None:
 
 def test_an_exploration_is_evaluated_on_the_true_part(part_file: Path, tmp_path: Path) -> None:
     """Coverage grows with the views and stays below the bound. The arm keeps clear of the true part."""
-    wishes = {"place": (1100, 400, 100), "units": "mm", "faces": 120, "samples": 2, "standoff": 250, "seed": 3}
-    scene = scene_from_options(None, {**wishes, "candidates": "optimal-scanning-zone", "max_views": 5}, part_file)
+    scene_options = {"place": (1100, 400, 100), "units": "mm", "faces": 120, "samples": 2, "standoff": 250, "seed": 3}
+    scene = scene_from_options(
+        None, {**scene_options, "candidates": "optimal-scanning-zone", "max_views": 5}, part_file
+    )
     options, scanning = parse_options(ExploreOptions, {"ring": 3, "batch": 2}), ScanOptions(resolution_deg=0.5)
     session, known_model = Session(None, out=tmp_path / "explored"), tmp_path / "known"
     file = explore(session, scene, options, scanning)

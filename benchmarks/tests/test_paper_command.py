@@ -19,16 +19,16 @@ _TABLE = ("table2", "--part", "mug", "--faces-share", "0.05", "--processes", "1"
 
 @pytest.fixture(scope="module")
 def table(
-    run_benchmarks: Run, made_once: Callable[..., Path], drawn: Callable[[], AbstractContextManager[None]]
+    run_benchmarks: Run, made_once: Callable[..., Path], drawing: Callable[[], AbstractContextManager[None]]
 ) -> Path:
     """Return the folder of a reduced table of one part."""
 
     def make(folder: Path) -> None:
-        with drawn(), pytest.MonkeyPatch.context() as patch:
+        with drawing(), pytest.MonkeyPatch.context() as patch:
             patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "effort_budget": DEFAULT_EFFORT // 60})
-            done = run_benchmarks("paper", *_TABLE, "--out", "table", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        assert "4 trials computed now" in done.stdout
+            process = run_benchmarks("paper", *_TABLE, "--out", "table", cwd=folder)
+        assert process.returncode == 0, process.stderr
+        assert "4 trials computed now" in process.stdout
 
     return made_once("study", make) / "table"
 
@@ -38,10 +38,10 @@ def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> No
 
     The page has the command that plans each row. Report, tables and pictures are written.
     """
-    done = run_cell("view", table, "--no-open", cwd=table)
-    assert (done.returncode, done.stdout) == (0, f"{table / 'view.html'}\n"), done.stderr
-    wish = "--sensor=paper --roll=0 --candidates=optimal-scanning-zone --faces=37 --samples=80 --standoff=300"
-    assert f"cell plan mug {wish}" in (table / "view.html").read_text()
+    process = run_cell("view", table, "--no-open", cwd=table)
+    assert (process.returncode, process.stdout) == (0, f"{table / 'view.html'}\n"), process.stderr
+    options = "--sensor=paper --roll=0 --candidates=optimal-scanning-zone --faces=37 --samples=80 --standoff=300"
+    assert f"cell plan mug {options}" in (table / "view.html").read_text()
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
     assert [row["parameter"] for row in rows] == ["50", "100", "300", "500"]
     assert [row["views paper"] for row in rows] == ["13", "12", "58", "107"]
@@ -71,9 +71,9 @@ def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
     table: Path, tmp_path: Path, run_benchmarks: Run
 ) -> None:
     """A repeated study computes nothing and writes the same rows, report and pictures."""
-    done = run_benchmarks("paper", *_TABLE, "--out", "again", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["computed"] == 0
+    process = run_benchmarks("paper", *_TABLE, "--out", "again", "--json", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
+    assert json.loads(process.stdout)["computed"] == 0
     for name in ("rows.csv", "seconds.csv", "study.json", "report.md", "view.html", "table2.png", "table2.svg"):
         assert (table / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
@@ -91,8 +91,8 @@ def test_wrong_options_end_with_one_sentence(
     words: tuple[str, ...], sentence: str, run_benchmarks: Run, tmp_path: Path
 ) -> None:
     """Wrong options end with exit code 2 and one sentence on stderr, without a folder."""
-    done = run_benchmarks("paper", *words, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert sentence in done.stderr
-    assert done.stdout == ""
+    process = run_benchmarks("paper", *words, cwd=tmp_path)
+    assert process.returncode == 2, process.stderr
+    assert sentence in process.stderr
+    assert process.stdout == ""
     assert not list(tmp_path.iterdir())

@@ -101,7 +101,7 @@ def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: P
 
 
 @pytest.mark.parametrize(
-    ("change", "lost"),
+    ("change", "is_worse"),
     [
         ({}, False),
         ({"views ours at visible rays": 8}, True),
@@ -110,13 +110,13 @@ def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: P
         ({"visible ours at views rays %": 98.7}, True),
     ],
 )
-def test_a_row_is_lost_by_a_view_or_by_more_than_the_tolerance(change: dict[str, float], lost: bool) -> None:
+def test_a_row_is_lost_by_a_view_or_by_more_than_the_tolerance(change: dict[str, float], is_worse: bool) -> None:
     """A row is lost by one more view, or by a coverage below the tolerance."""
     row = {
         "views rays": 7, "visible rays %": 99.0, "views ours at visible rays": 7,
         "visible ours at visible rays %": 99.0, "visible ours at views rays %": 99.0,
     }  # fmt: skip
-    assert bool(rows_lost([{**row, **change}])) is lost
+    assert bool(rows_lost([{**row, **change}])) is is_worse
 
 
 def test_rows_of_the_paper_that_say_the_same_are_one_trial() -> None:

@@ -14,7 +14,7 @@ from cell.study.study import Row
 from cell.study.trials import Processes, run_trials
 
 _SHARE = 0.3
-_ASKED = (("table1", "mseke"), ("table2", "mug"), ("table3", "humerus"), ("table4", "mug"))
+_CASES = (("table1", "mseke"), ("table2", "mug"), ("table3", "humerus"), ("table4", "mug"))
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Row]]:
     folder: Path = tmp_path_factory.mktemp("trials")
     found = {}
     with Processes(2) as workers:
-        for table, part in _ASKED:
+        for table, part in _CASES:
             study = table_study(table, faces_share=_SHARE, parts=[part])
             outcomes = run_trials(study.trials, workers, folder=folder)
             assert not [outcome.failure for outcome in outcomes if outcome.failure]

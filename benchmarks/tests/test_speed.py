@@ -8,7 +8,7 @@ import pytest
 from benchmarks.__main__ import REGISTRY
 from benchmarks.best_of import best_of
 from benchmarks.methods.knobs import KNOBS, samples
-from benchmarks.methods.speed import ELSEWHERE, chosen, pictures, sentences, speed_study
+from benchmarks.methods.speed import ELSEWHERE, pictures, select_knobs, sentences, speed_study
 from cell.errors import UsageError
 from cell.scene.file import load_scene
 from cell.session import LoggedProgress
@@ -44,13 +44,13 @@ def test_what_is_no_knob_is_refused_with_where_it_is_measured() -> None:
 
     Without names all knobs are selected.
     """
-    assert chosen([]) == [*KNOBS]
+    assert select_knobs([]) == [*KNOBS]
     with pytest.raises(UsageError, match="there is no knob sampels; there are decimation, samples"):
-        chosen(["samples", "sampels"])
+        select_knobs(["samples", "sampels"])
     for name, benchmark in ELSEWHERE.items():
         assert benchmark in REGISTRY
         with pytest.raises(UsageError, match=f"python -m benchmarks {benchmark} "):
-            chosen([name])
+            select_knobs([name])
 
 
 @pytest.mark.parametrize(("name", "text", "values"), [("samples", "1, 4", [1, 4]), ("scan", "1,0.5", [1.0, 0.5])])
@@ -88,12 +88,12 @@ def test_rows_sentences_and_pictures_of_knobs() -> None:
     rows = study.rows([_outcome(trial) for trial in study.trials])
     assert [row["value"] for row in rows] == [*KNOBS["samples"].values, *KNOBS["scan"].values]
     assert {row["part"] for row in rows} == {"mug"}
-    said = sentences(rows)
-    assert len(said) == 2
-    assert "1.00 times the time" in said[0]
-    drawn = dict(pictures(rows))
-    assert list(drawn) == ["speed_fronts"]
-    for figure in drawn.values():
+    summaries = sentences(rows)
+    assert len(summaries) == 2
+    assert "1.00 times the time" in summaries[0]
+    figures = dict(pictures(rows))
+    assert list(figures) == ["speed_fronts"]
+    for figure in figures.values():
         figure.canvas.draw()  # type: ignore[attr-defined]
 
 

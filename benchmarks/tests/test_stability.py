@@ -36,11 +36,11 @@ def test_the_program_begins_to_speak_at_the_border_that_the_map_shades(
     """
     each = MAPS[name]
     hair = max(1e-2 * abs(border), 1e-12)
-    inside, beyond = (each.method(line, border + sign * outward * hair, each.sizes[1]) for sign in (-1, 1))
+    inside, outside = (each.method(line, border + sign * outward * hair, each.sizes[1]) for sign in (-1, 1))
     assert inside.says == ""
     assert inside.success >= each.enough
     assert inside.error is None or inside.error <= each.tolerated
-    assert len(beyond.says.split()) > 3
+    assert len(outside.says.split()) > 3
 
 
 def test_inverse_kinematics_is_held_against_joint_angles_that_are_known() -> None:

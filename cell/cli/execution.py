@@ -9,7 +9,7 @@ import typer
 
 from cell.cli.options import (
     AsJson,
-    Given,
+    OptionValues,
     Part,
     RunFolder,
     SceneFile,
@@ -120,8 +120,8 @@ def _scan_setups(
     from cell.runs.setups import SetupsRun
     from cell.scan.setups import combine_setups as report_of
 
-    for option, given in (("--resume", resume), ("--report", report)):
-        if given not in (None, "latest"):
+    for option, value in (("--resume", resume), ("--report", report)):
+        if value not in (None, "latest"):
             raise UsageError(f"{option} of several set-ups takes the latest execution of each: {option} latest")
     if report is not None:
         outcome = report_of(_session(terminal), SetupsRun.opened(folder))
@@ -130,10 +130,13 @@ def _scan_setups(
             folder, options, setup=setup, resume=resume is not None, progress=terminal, argv=sys.argv[1:],
             ask=_confirm(terminal),
         )  # fmt: skip
-    made = outcome.report
-    following = [("cell", "scan", folder, "--setup", made.missing_setups[0])] if made.missing_setups else []
+    result = outcome.report
+    following = [("cell", "scan", folder, "--setup", result.missing_setups[0])] if result.missing_setups else []
     terminal.print_result(
-        made.as_json(), f"Scan of {made.part}", [*combined_rows(made), ("folder", str(outcome.folder))], *following
+        result.as_json(),
+        f"Scan of {result.part}",
+        [*combined_rows(result), ("folder", str(outcome.folder))],
+        *following,
     )
     raise typer.Exit(outcome.exit_code)
 
@@ -161,8 +164,8 @@ def explore(
     part: Part = None,
     scene: SceneFile = None,
     options: ExploreOptions,
-    scanning: Annotated[Given, option_specs(ScanOptions, *SCAN_OPTIONS)],
-    given: SceneOptions,
+    scanning: Annotated[OptionValues, option_specs(ScanOptions, *SCAN_OPTIONS)],
+    scene_options: SceneOptions,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder to make, or to resume. Default: sim_runs/explore-<UTC>.", rich_help_panel="Output"),
@@ -177,17 +180,17 @@ def explore(
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_from_options(scene, given, part, flag)
+    checked = scene_from_options(scene, scene_options, part, flag)
     scans = parse_options(ScanOptions, scanning, flag)
-    done = api.explore(
+    exploration = api.explore(
         checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal)
     )
     following = []
-    if done.place_mm is not None:
-        place = ",".join(f"{value:g}" for value in done.place_mm)
-        following = [("cell", "plan", done.folder / done.file.model, "--units", "mm", "--place", place)]
-    rows = [*done.file.rows(), ("folder", str(done.folder))]
-    terminal.print_result(done.file.as_json(), f"Exploration of {done.file.part}", rows, *following)
+    if exploration.place_mm is not None:
+        place = ",".join(f"{value:g}" for value in exploration.place_mm)
+        following = [("cell", "plan", exploration.folder / exploration.file.model, "--units", "mm", "--place", place)]
+    rows = [*exploration.file.rows(), ("folder", str(exploration.folder))]
+    terminal.print_result(exploration.file.as_json(), f"Exploration of {exploration.file.part}", rows, *following)
 
 
 @command(
@@ -235,29 +238,31 @@ def locate(
     if out is None and (repair or keep_planned):
         raise UsageError("--repair and --keep-planned belong to the plan that --out makes; give --out")
     terminal = Terminal(quiet_stdout=as_json)
-    found = api.locate(run, options, progress=terminal)
+    placement = api.locate(run, options, progress=terminal)
     if not as_json:
-        terminal.print_pairs(f"Placement of the part of {run}", found.rows())
+        terminal.print_pairs(f"Placement of the part of {run}", placement.rows())
     if out is None:
         if as_json:
-            print_json(found.as_json())
+            print_json(placement.as_json())
         else:
             again = [word for word in sys.argv[1:] if word != "--json"]
-            keep = ["--keep-planned"] if found.free_motions else []
-            mend = ["--repair"] if not found.motion_check.keeps_clearance and api.open_run(run).is_repairable else []
+            keep = ["--keep-planned"] if placement.free_motions else []
+            mend = (
+                ["--repair"] if not placement.motion_check.keeps_clearance and api.open_run(run).is_repairable else []
+            )
             terminal.suggest(("cell", *again, "--out", unused_path(Path("sim_runs/there")), *keep, *mend))
         return
     if not keep_planned:
-        found.require_determined()
-    made = api.edit(
-        run, repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
+        placement.require_determined()
+    new_run = api.edit(
+        run, repair=repair, T_base_object=placement.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
     )
-    rows = [*table(made.report), ("digest", made.digest[:SHORT_DIGEST]), ("run folder", str(made.folder))]
+    rows = [*table(new_run.report), ("digest", new_run.digest[:SHORT_DIGEST]), ("run folder", str(new_run.folder))]
     terminal.print_result(
-        {**found.as_json(), "made": made.as_json()}, "The plan there", rows,
-        ("cell", "scan", made.folder), ("cell", "diff", run, made.folder),
+        {**placement.as_json(), "made": new_run.as_json()}, "The plan there", rows,
+        ("cell", "scan", new_run.folder), ("cell", "diff", run, new_run.folder),
     )  # fmt: skip
-    raise typer.Exit(made.exit_code)
+    raise typer.Exit(new_run.exit_code)
 
 
 @calibrate_app.callback()
@@ -286,16 +291,16 @@ def hand_eye(
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
-    found = api.calibrate_hand_eye(files, options, progress=terminal)
-    terminal.print_result(found.as_json(), f"Mount from {len(files)} scans of a {found.target}", found.rows())
-    if found.free_motions:
+    result = api.calibrate_hand_eye(files, options, progress=terminal)
+    terminal.print_result(result.as_json(), f"Mount from {len(files)} scans of a {result.target}", result.rows())
+    if result.free_motions:
         terminal.note(
             "these poses do not determine the mount; scan the target from poses that are rotated about other axes, "
             "with the target elsewhere in the field of view"
         )
         raise typer.Exit(_NOT_DETERMINED)
     if not as_json:
-        terminal.print(found.lines)
+        terminal.print(result.lines)
 
 
 @command(

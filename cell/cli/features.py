@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.options import AsJson, Given, Part, SceneFile, command
+from cell.cli.options import AsJson, OptionValues, Part, SceneFile, command
 from cell.metrology.options import InspectOptions
 from cell.scene.file import scene_from_options
 from cell.scene.model import PART, Scene
@@ -26,7 +26,7 @@ def features(
     *,
     part: Part = None,
     scene: SceneFile = None,
-    given: Annotated[Given, option_specs(Scene, "units", "qif")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units", "qif")],
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of features.png. Default: a temporary one.")
     ] = None,
@@ -39,7 +39,7 @@ def features(
     from cell.part import workpiece
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_from_options(scene, given, part, flag)
+    checked = scene_from_options(scene, scene_options, part, flag)
     with terminal.stage("read the features"):
         plan = api.features(checked)
     folder = Path(tempfile.mkdtemp(prefix="cell-features-")) if out is None else out
@@ -65,7 +65,7 @@ def features(
         terminal.note(f"not supported: {sentence}")
     words = [
         *([part] if part else []), *(["--scene", scene] if scene else []),
-        *(f"{flag(name)}={text}" for name, text in given.items()),
+        *(f"{flag(name)}={text}" for name, text in scene_options.items()),
     ]  # fmt: skip
     counts = [
         ("characteristics", f"{len(plan.characteristics)} supported, {len(plan.unsupported)} items not supported"),
@@ -93,7 +93,7 @@ def inspect(
     ],
     part: _PartOfCommand = None,
     scene: SceneFile = None,
-    given: Annotated[Given, option_specs(Scene, "units", "qif")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units", "qif")],
     options: InspectOptions,
     out: Annotated[
         Path | None,
@@ -107,10 +107,10 @@ def inspect(
     from cell.metrology.inspect import inspect
 
     terminal = Terminal(quiet_stdout=as_json)
-    needs_scene = part is not None or scene is not None or given or not source.is_dir()
-    checked = scene_from_options(scene, given, part, flag) if needs_scene else None
-    folder, done = inspect(source, checked, options, terminal, out)
-    result = done.result
+    needs_scene = part is not None or scene is not None or scene_options or not source.is_dir()
+    checked = scene_from_options(scene, scene_options, part, flag) if needs_scene else None
+    folder, inspection = inspect(source, checked, options, terminal, out)
+    result = inspection.result
     if not as_json:
         heading, rows = table_rows(result)
         terminal.print_table(heading, rows, at_most=len(rows))

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.options import AsJson, Given, command, print_json
+from cell.cli.options import AsJson, OptionValues, command, print_json
 from cell.errors import UsageError
 from cell.export.options import ExportOptions
 from cell.scene.file import scene_from_options
@@ -27,14 +27,14 @@ def check(
     part: Annotated[
         str | None, typer.Option(help="As in cell plan: mesh file or built-in part.", rich_help_panel=PART)
     ] = None,
-    given: Annotated[Given, option_specs(Scene, "units", "place", "collision")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units", "place", "collision")],
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the data of the cell, and report its errors."""
     from cell import api
     from cell.cli.terminal import Terminal
 
-    result = api.check(scene_from_options(scene, given, part, flag))
+    result = api.check(scene_from_options(scene, scene_options, part, flag))
     if as_json:
         print_json(result.summary())
     else:
@@ -42,7 +42,7 @@ def check(
         terminal.print_pairs("Scene", result.rows())
         for problem in result.problems:
             terminal.print_error(f"wrong: {problem}")
-        words = [f"{flag(name)}={text}" for name, text in given.items()]
+        words = [f"{flag(name)}={text}" for name, text in scene_options.items()]
         at = [] if scene is None else [scene]
         if result.problems:
             terminal.suggest(("cell", "check", *at, *(["--part", part] if part else []), *words))
@@ -58,13 +58,13 @@ def init(
     part: Annotated[
         str | None, typer.Option(help="Mesh file or built-in part of the scene.", rich_help_panel=PART)
     ] = None,
-    given: Annotated[Given, option_specs(Scene, "units")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units")],
 ) -> None:
     """Write a scene file with every key, its unit, its default and its purpose."""
     from cell import api
     from cell.cli.terminal import Terminal
 
-    units = given.get("units")
+    units = scene_options.get("units")
     api.init(file, part, None if units is None else str(units))
     terminal = Terminal()
     terminal.print(f"{file} has every key with its default; change the values, and remove what you do not need")
@@ -83,7 +83,7 @@ def part(
     file: Annotated[
         str, typer.Argument(metavar="FILE", help="STEP or mesh file, or a built-in part.", show_default=False)
     ],
-    given: Annotated[Given, option_specs(Scene, "units")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units")],
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of view.html and faces.png. Default: a temporary one.")
     ] = None,
@@ -96,7 +96,7 @@ def part(
     from cell.view.view_command import write_page
 
     terminal = Terminal(quiet_stdout=as_json)
-    units = given.get("units")
+    units = scene_options.get("units")
     loaded = workpiece.load(file, None if units is None else str(units))
     folder = Path(tempfile.mkdtemp(prefix="cell-part-")) if out is None else out
     words = ["cell", "plan", file, *([f"--units={units}"] if units else [])]
@@ -142,8 +142,8 @@ def robot(
         packages[name] = str(Path(folder).absolute())
     terminal = Terminal(quiet_stdout=as_json)
     with terminal.stage("read the arm"):
-        found, model = report(file, base_link, flange_link, packages)
-    terminal.print_result(found.summary(), f"Robot {file.name}", found.rows())
+        robot_report, model = report(file, base_link, flange_link, packages)
+    terminal.print_result(robot_report.summary(), f"Robot {file.name}", robot_report.rows())
     if out is not None:
         from cell.view.cell_picture import draw_robot
         from cell.view.rays import save_png
@@ -253,7 +253,7 @@ def live(
     part: Annotated[
         str | None, typer.Option(help="As in cell plan: mesh file or built-in part.", rich_help_panel=PART)
     ] = None,
-    given: Annotated[Given, option_specs(Scene, "units", "place", "table")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units", "place", "table")],
     out: Annotated[
         Path | None, typer.Option(help="Folder of scene files and plans. Default: sim_runs/live-<UTC>.")
     ] = None,
@@ -266,9 +266,9 @@ def live(
     from cell.view.loopback import open_browser
 
     is_run = what is not None and what.is_dir()
-    if is_run and (part is not None or given):
+    if is_run and (part is not None or scene_options):
         raise UsageError("the part and the placement are those of the run; move the part on the page, or give a scene")
-    scene = None if is_run else scene_from_options(what, given, part, flag)
+    scene = None if is_run else scene_from_options(what, scene_options, part, flag)
     terminal = Terminal()
 
     def open_page(url: str) -> None:
@@ -376,5 +376,7 @@ def export(
         print_json(outcome.as_json())
     else:
         sys.stdout.write("".join(f"{path}\n" for path in outcome.files))
-        shown = ("cell", "view", run)
-        Terminal(quiet_stdout=True).suggest(*(_after_setups(run, shown) if has_setups else [("cell", "replay", run)]))
+        page_command = ("cell", "view", run)
+        Terminal(quiet_stdout=True).suggest(
+            *(_after_setups(run, page_command) if has_setups else [("cell", "replay", run)])
+        )

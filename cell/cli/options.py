@@ -66,10 +66,10 @@ AsJson = Annotated[
     typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel="Output"),
 ]
 
-Given = dict[str, object]
+OptionValues = dict[str, object]
 """Texts and switches of the given options by their names; `Annotated` with the specifications of the options."""
-SceneOptions = Annotated[Given, option_specs(Scene)]
-PartOptions = Annotated[Given, option_specs(Scene, "units")]
+SceneOptions = Annotated[OptionValues, option_specs(Scene)]
+PartOptions = Annotated[OptionValues, option_specs(Scene, "units")]
 
 
 def _print_version(requested: bool) -> None:
@@ -127,7 +127,7 @@ def from_fields(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command one option for each field of the models in its parameters.
 
     A parameter annotated with a model receives a checked instance made from the given options; one annotated with
-    `Given` receives the given options. All arguments are passed by keyword.
+    `OptionValues` receives the given options. All arguments are passed by keyword.
     """
     parameters = []
     for parameter in inspect.signature(function).parameters.values():
@@ -135,30 +135,30 @@ def from_fields(function: Callable[..., None]) -> Callable[..., None]:
         parameters += [parameter] if specs is None else [_parameter(spec) for spec in specs.values()]
 
     @functools.wraps(function)
-    def run(**given: object) -> None:
-        function(**arguments(function, given))
+    def run(**option_values: object) -> None:
+        function(**arguments(function, option_values))
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # typer reads it
     return run
 
 
-def arguments(function: Callable[..., None], given: Mapping[str, object]) -> dict[str, object]:
+def arguments(function: Callable[..., None], option_values: Mapping[str, object]) -> dict[str, object]:
     """Return the arguments of a command for the given options.
 
     Raises:
         UsageError: if a text does not fit its field.
     """
-    found: dict[str, object] = {}
+    result: dict[str, object] = {}
     for parameter in inspect.signature(function).parameters.values():
         specs = _specs(parameter.annotation)
         if specs is None:
-            found[parameter.name] = given[parameter.name]
+            result[parameter.name] = option_values[parameter.name]
             continue
-        values = {name: given[name] for name in specs if given[name] not in (None, [], ())}
+        values = {name: option_values[name] for name in specs if option_values[name] not in (None, [], ())}
         texts = {name: ",".join(value) if isinstance(value, list | tuple) else value for name, value in values.items()}
         model = parameter.annotation
-        found[parameter.name] = texts if get_origin(model) is Annotated else parse_options(model, texts, flag)
-    return found
+        result[parameter.name] = texts if get_origin(model) is Annotated else parse_options(model, texts, flag)
+    return result
 
 
 def _specs(annotation: Any) -> Mapping[str, OptionSpec] | None:
@@ -176,7 +176,7 @@ def _parameter(spec: OptionSpec) -> inspect.Parameter:
     if kind.base is bool and next(iter(spec.fields.values())).default is None:
         flags = [f"{flags[0]}/--no-{flags[0].removeprefix('--')}"]
     text: Any = bool if kind.base is bool else list[str] if kind.length < 0 else str
-    shown = typer.Option(
+    default = typer.Option(
         None, *flags, help=plain(spec.help), metavar=spec.metavar, rich_help_panel=option.panel or None
     )
-    return inspect.Parameter(spec.name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=text | None)
+    return inspect.Parameter(spec.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=text | None)

@@ -10,9 +10,9 @@ import typer
 
 from cell.cli.options import (
     AsJson,
-    Given,
     NewRunFolder,
     NoCache,
+    OptionValues,
     Part,
     RunFolder,
     SceneFile,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cell.runs.run import Run
 
 _SceneOptionsOfSetups = Annotated[
-    Given, {name: spec for name, spec in option_specs(Scene).items() if name not in option_specs(SetupOptions)}
+    OptionValues, {name: spec for name, spec in option_specs(Scene).items() if name not in option_specs(SetupOptions)}
 ]
 
 
@@ -49,7 +49,7 @@ def plan(
     *,
     part: Part = None,
     scene: SceneFile = None,
-    given: SceneOptions,
+    scene_options: SceneOptions,
     open_of: Annotated[list[Path] | None, typer.Option(hidden=True)] = None,
     out: NewRunFolder = None,
     as_json: AsJson = False,
@@ -68,8 +68,8 @@ def plan(
             f"--open-of is replaced by the first set-up of cell setups: use cell setups --first {open_of[0]}"
         )
     run = api.plan(
-        scene_from_options(scene, given, part, flag), scene=scene, out=out, use_cache=not no_cache, progress=terminal,
-        argv=sys.argv[1:],
+        scene_from_options(scene, scene_options, part, flag), scene=scene, out=out, use_cache=not no_cache,
+        progress=terminal, argv=sys.argv[1:],
     )  # fmt: skip
     rows = [*table(run.report), ("digest", run.digest[:SHORT_DIGEST]), ("run folder", str(run.folder))]
     following = after_plan(run, str(run.folder))
@@ -92,7 +92,7 @@ def setups(
     *,
     part: Part = None,
     scene: SceneFile = None,
-    given: _SceneOptionsOfSetups,
+    scene_options: _SceneOptionsOfSetups,
     options: SetupOptions,
     out: NewRunFolder = None,
     as_json: AsJson = False,
@@ -106,17 +106,17 @@ def setups(
 
     terminal = Terminal(quiet_stdout=as_json)
     if options.first is not None and part is None and scene is None:
-        checked = scene_after(api.open_run(options.first), given, flag)
+        checked = scene_after(api.open_run(options.first), scene_options, flag)
     else:
-        checked = scene_from_options(scene, given, part, flag)
-    made = api.setups(
+        checked = scene_from_options(scene, scene_options, part, flag)
+    run = api.setups(
         checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:]
     )
     terminal.print_result(
-        made.as_json(), f"Set-ups of {made.file.part}", [*rows(made.file), ("folder", str(made.folder))],
-        ("cell", "scan", made.folder, "--setup", 1), ("cell", "view", made.folder),
+        run.as_json(), f"Set-ups of {run.file.part}", [*rows(run.file), ("folder", str(run.folder))],
+        ("cell", "scan", run.folder, "--setup", 1), ("cell", "view", run.folder),
     )  # fmt: skip
-    raise typer.Exit(made.exit_code)
+    raise typer.Exit(run.exit_code)
 
 
 @command(
@@ -136,21 +136,21 @@ def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: As
 
     terminal = Terminal(quiet_stdout=as_json)
     planned = api.open_run(run)
-    made = api.edit(planned, options, out=out, progress=terminal, argv=sys.argv[1:])
-    difference = api.diff(run, made, progress=terminal)
+    new_run = api.edit(planned, options, out=out, progress=terminal, argv=sys.argv[1:])
+    difference = api.diff(run, new_run, progress=terminal)
     rows = [
-        *table(made.report), (f"against {run}", summarise(difference)), ("digest", made.digest[:SHORT_DIGEST]),
-        ("run folder", str(made.folder)),
+        *table(new_run.report), (f"against {run}", summarise(difference)), ("digest", new_run.digest[:SHORT_DIGEST]),
+        ("run folder", str(new_run.folder)),
     ]  # fmt: skip
     surface = difference.surface
     is_repairable = planned.is_repairable and not options.repair
     repair = is_repairable and surface is not None and surface.only_a_mm2 > surface.only_b_mm2
     terminal.print_result(
-        made.as_json() | {"against": difference.as_json()}, f"Edited view plan of {made.report.part.name}", rows,
-        ("cell", "scan", made.folder), *([("cell", "edit", made.folder, "--repair")] if repair else []),
-        ("cell", "diff", run, made.folder),
+        new_run.as_json() | {"against": difference.as_json()}, f"Edited view plan of {new_run.report.part.name}", rows,
+        ("cell", "scan", new_run.folder), *([("cell", "edit", new_run.folder, "--repair")] if repair else []),
+        ("cell", "diff", run, new_run.folder),
     )  # fmt: skip
-    raise typer.Exit(made.exit_code)
+    raise typer.Exit(new_run.exit_code)
 
 
 def summarise(difference: "Difference") -> str:
@@ -160,8 +160,8 @@ def summarise(difference: "Difference") -> str:
     values = {number.name: (number.a, number.b) for number in difference.numbers}
     facts = []
     if difference.surface is not None:
-        gained, lost = difference.surface.only_b_mm2, difference.surface.only_a_mm2
-        facts.append(f"gains {gained:,.0f} mm2 and loses {lost:,.0f} mm2 of the surface")
+        gain, loss = difference.surface.only_b_mm2, difference.surface.only_a_mm2
+        facts.append(f"gains {gain:,.0f} mm2 and loses {loss:,.0f} mm2 of the surface")
     for name, text in (
         ("views", "{:.0f} views instead of {:.0f}"),
         ("visible %", "visible {:.2f} % instead of {:.2f} %"),
@@ -231,17 +231,17 @@ def _command_of(setting: str, run: "Run") -> tuple[str, ...] | None:
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
     from cell import api
 
-    visible, found = api.advise(run, progress=terminal)
+    visible, advice_list = api.advise(run, progress=terminal)
     if as_json:
-        print_json({"visible": visible, "advice": [advice.as_json() for advice in found]})
+        print_json({"visible": visible, "advice": [advice.as_json() for advice in advice_list]})
         return
     rows = [
         (str(number), advice.what, f"{100 * advice.share:.2f} % (+- {100 * advice.standard_error:.2f})")
-        for number, advice in enumerate(found, 1)
+        for number, advice in enumerate(advice_list, 1)
     ]
     title = f"This plan measures {100 * visible:.2f} % of the surface"
     terminal.print_table(("", "change", "coverage by any pose"), rows, title)
-    for number, advice in enumerate(found, 1):
+    for number, advice in enumerate(advice_list, 1):
         terminal.print(f"{number}: {advice.command}")
 
 
@@ -304,15 +304,15 @@ def _diff_clouds(terminal: "Terminal", a: Path, b: Path, units: str | None, *, a
 
     if units not in UNITS:
         raise UsageError(f"{a} and {b} do not state their unit; give --points-units with one of {', '.join(UNITS)}")
-    found = compare_clouds(a, b, units)
+    result = compare_clouds(a, b, units)
     if as_json:
-        print_json(found.as_json())
+        print_json(result.as_json())
         return
     rows = [
-        ("points", f"{found.points_a:,} in A, {found.points_b:,} in B, spacing of A {found.spacing_mm:.4g} mm"),
-        ("distance of B from A", f"{found.rms_mm:.4f} mm rms, 95 % within {found.quantile_95_mm:.4f} mm, largest "
-                                 f"{found.largest_mm:.4f} mm"),
-        ("only in one", f"{found.only_a:.2%} of A, {found.only_b:.2%} of B"),
+        ("points", f"{result.points_a:,} in A, {result.points_b:,} in B, spacing of A {result.spacing_mm:.4g} mm"),
+        ("distance of B from A", f"{result.rms_mm:.4f} mm rms, 95 % within {result.quantile_95_mm:.4f} mm, largest "
+                                 f"{result.largest_mm:.4f} mm"),
+        ("only in one", f"{result.only_a:.2%} of A, {result.only_b:.2%} of B"),
     ]  # fmt: skip
     terminal.print_table(("", ""), rows)
 
@@ -333,9 +333,9 @@ def _print_difference(terminal: "Terminal", difference: "Difference") -> None:
          f"{100 * each.intersection_over_union:.0f} % of the union")
         for each in views.similar
     ]  # fmt: skip
-    kept = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.equal)
+    equal_views = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.equal)
     single = [("only in A", _list(map(str, views.only_a))), ("only in B", _list(map(str, views.only_b)))]
-    terminal.print_pairs("Views, by their numbers in visiting order", [("kept", kept), *moved, *single])
+    terminal.print_pairs("Views, by their numbers in visiting order", [("kept", equal_views), *moved, *single])
     surface = difference.surface
     if surface is None:
         terminal.print("the two parts are different meshes: gained and lost surface cannot be computed")

@@ -9,7 +9,7 @@ import typer
 from cell.cli.options import (
     EXIT_CODES,
     AsJson,
-    Given,
+    OptionValues,
     Part,
     PartOptions,
     SceneFile,
@@ -65,8 +65,8 @@ def _print_study(terminal: "Terminal", result: "StudyResult", as_json: bool) -> 
         print_json(result.summary())
         return
     if result.rows:
-        rows = [[format_value(row.get(column)) for column in result.shown] for row in result.rows]
-        terminal.print_table(result.shown, rows, at_most=_MAX_ROWS)
+        rows = [[format_value(row.get(column)) for column in result.columns] for row in result.rows]
+        terminal.print_table(result.columns, rows, at_most=_MAX_ROWS)
         if len(rows) > _MAX_ROWS:
             terminal.print(f"all of them: {result.folder / 'rows.csv'}")
     for sentence in result.sentences:
@@ -92,7 +92,7 @@ def placement(
     z: Annotated[str, typer.Option(metavar="MM[:MM:MM]", help="Heights of the part's centre.")] = "0",
     yaw: Annotated[str, typer.Option(metavar="DEG[:DEG:DEG]", help="Rotations about the vertical (A).")] = "0",
     scene: SceneFile = None,
-    given: PartOptions,
+    scene_options: PartOptions,
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -101,8 +101,8 @@ def placement(
     from cell.study.study import plan_command, scene_maker
 
     grids = [parse_range(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
-    base = scene_maker(part, scene, given, flag)({})
-    run_and_print(lambda: placement_study(base, *grids), run, as_json, plan_command(part, scene, given))
+    base = scene_maker(part, scene, scene_options, flag)({})
+    run_and_print(lambda: placement_study(base, *grids), run, as_json, plan_command(part, scene, scene_options))
 
 
 @command("cell study standoff mug --values 50:500:50", group=app)
@@ -112,7 +112,7 @@ def standoff(
     values: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step.")] = "50:500:50",
     robot: _Robot = False,
     scene: SceneFile = None,
-    given: PartOptions,
+    scene_options: PartOptions,
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -121,8 +121,8 @@ def standoff(
     from cell.study.study import plan_command, scene_maker
 
     standoffs = parse_range("--values", values)
-    make = scene_maker(part, scene, given, flag)
-    words = plan_command(part, scene, given)
+    make = scene_maker(part, scene, scene_options, flag)
+    words = plan_command(part, scene, scene_options)
     run_and_print(lambda: scanner_study(make, "standoff", standoffs, robot=robot), run, as_json, words)
 
 
@@ -138,7 +138,7 @@ def scanner(
     number: ScannerNumber,
     robot: _Robot = False,
     scene: SceneFile = None,
-    given: PartOptions,
+    scene_options: PartOptions,
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -148,13 +148,13 @@ def scanner(
 
     varied = number.model_dump(exclude_none=True)
     if varied.keys() == {"sensors", "baseline"}:  # no sensor of the library states its baseline
-        given = {**given, "baseline": varied.pop("baseline")}
+        scene_options = {**scene_options, "baseline": varied.pop("baseline")}
     if len(varied) != 1:
         raise UsageError(
             "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
         )
     ((name, text),) = varied.items()
-    make = scene_maker(part, scene, given, flag)
+    make = scene_maker(part, scene, scene_options, flag)
     values: Sequence[Setting]
     if name == "ranges":
         name, values = "range", parse_pairs("--range", text)
@@ -166,7 +166,7 @@ def scanner(
     else:
         values = parse_range(flag(name), text)
     run_and_print(
-        lambda: scanner_study(make, name, values, robot=robot), run, as_json, plan_command(part, scene, given)
+        lambda: scanner_study(make, name, values, robot=robot), run, as_json, plan_command(part, scene, scene_options)
     )
 
 
@@ -186,7 +186,7 @@ def place(
     part: Part = None,
     where: PlaceRange,
     scene: SceneFile = None,
-    given: Annotated[Given, option_specs(Scene, "units", "seed", "table")],
+    scene_options: Annotated[OptionValues, option_specs(Scene, "units", "seed", "table")],
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -196,9 +196,9 @@ def place(
     from cell.study.study import plan_command, study_folder
     from cell.study.trials import open_workers
 
-    checked = scene_from_options(scene, given, part, flag)
+    checked = scene_from_options(scene, scene_options, part, flag)
     folder = study_folder("place", run.out)
     terminal = Terminal(quiet_stdout=as_json)
     with open_workers(run.count, run.cluster, run.cluster_security) as workers, terminal.rounds() as progress:
-        result = place_study(checked, where, workers, folder, progress, plan_command(part, scene, given))
+        result = place_study(checked, where, workers, folder, progress, plan_command(part, scene, scene_options))
     _print_study(terminal, result, as_json)

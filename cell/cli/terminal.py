@@ -53,13 +53,13 @@ class Terminal:
         with self._bars(spinner=True) as bars:
             task, tenths = bars.add_task(name, total=None), 0
 
-            def update(done: int, total: int) -> None:
+            def update(n_done: int, total: int) -> None:
                 nonlocal tenths
-                bars.update(task, completed=done, total=total)
-                reached = 10 * done // max(total, 1)
+                bars.update(task, completed=n_done, total=total)
+                reached = 10 * n_done // max(total, 1)
                 if time_left and not self._errors.is_terminal and reached > tenths:  # long stages, written to a file
                     tenths = reached
-                    self.print_error(f"{name}: {done} of {total}")
+                    self.print_error(f"{name}: {n_done} of {total}")
 
             yield update
 
@@ -73,11 +73,11 @@ class Terminal:
         with self._bars() as bars:
             tasks: dict[str, TaskID] = {}
 
-            def update(name: str, done: int, total: int) -> None:
+            def update(name: str, n_done: int, total: int) -> None:
                 if name not in tasks:
                     log.info("round: %s", name)
                     tasks[name] = bars.add_task(name, total=total)
-                bars.update(tasks[name], completed=done, total=total)
+                bars.update(tasks[name], completed=n_done, total=total)
 
             yield update
 

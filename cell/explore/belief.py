@@ -44,7 +44,7 @@ from planner.why.why import REASON_OF_VERDICT, Reason
 
 _TIGHT, _SMOOTH = 0.75, 0.7  # in voxel edges: distance of the belief surface from voxel centres, and sigma of smoothing
 _ROUGH = 0.87  # in voxel edges: distance of the surface for candidates
-_BEYOND = 0.37  # in voxel edges: distance of the obstacle for arm and housing beyond the voxels
+_OBSTACLE_DISTANCE = 0.37  # in voxel edges: distance of the obstacle for arm and housing beyond the voxels
 _BLOCK = 2  # in voxel edges: block size of coarse surfaces, which have a quarter of the faces
 
 
@@ -55,17 +55,17 @@ class Cylinder:
     Attributes:
         radius: [m].
         height: [m].
-        given: whether the user gave it; else it encloses the simulated part.
+        is_given: whether the user gave it; else it encloses the simulated part.
     """
 
     radius: float
     height: float
-    given: bool
+    is_given: bool
 
 
-def surface_about(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
+def surface_about(space: VoxelSpace, voxels: Bools) -> TriangleMesh:
     """Return the belief surface about selected voxels (X, Y, Z) [m]."""
-    return _surface_at(space.low, space.edge, chosen, _TIGHT, _SMOOTH)
+    return _surface_at(space.low, space.edge, voxels, _TIGHT, _SMOOTH)
 
 
 def belief_part(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:
@@ -85,15 +85,15 @@ def write_unseen(space: VoxelSpace, path: Path) -> None:
     path.write_bytes(ply.mesh_bytes(enclosing_surface(space, np.asarray(space.state != FREE))))
 
 
-def enclosing_surface(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
+def enclosing_surface(space: VoxelSpace, voxels: Bools) -> TriangleMesh:
     """Return a surface with few faces that encloses every selected voxel completely [m]."""
-    blocks = np.pad(_blocks(chosen), 1)
+    blocks = np.pad(_blocks(voxels), 1)
     x, y, z = (size - 1 for size in blocks.shape)
     corners = np.zeros((x, y, z), dtype=np.bool_)
     for i, j, k in np.ndindex(2, 2, 2):
         corners |= blocks[i : i + x, j : j + y, k : k + z]
     edge = _BLOCK * space.edge
-    return _surface_at(space.low - edge / 2, edge, corners, _BEYOND, 0.0)
+    return _surface_at(space.low - edge / 2, edge, corners, _OBSTACLE_DISTANCE, 0.0)
 
 
 def batch_scene(scene: Scene, cylinder: Cylinder, surface: Workpiece, unseen: Path) -> Scene:
@@ -117,17 +117,17 @@ def batch_scene(scene: Scene, cylinder: Cylinder, surface: Workpiece, unseen: Pa
     return scene.model_copy(update={"placement": placement, "part": part, "fixtures": (*scene.fixtures, space)})
 
 
-def _blocks(chosen: Bools) -> Bools:
+def _blocks(voxels: Bools) -> Bools:
     """Return the blocks of voxels that contain a selected one."""
-    nx, ny, nz = (n // _BLOCK for n in chosen.shape)  # a grid has even numbers of voxels
-    return np.asarray(chosen.reshape(nx, _BLOCK, ny, _BLOCK, nz, _BLOCK).any(axis=(1, 3, 5)))
+    nx, ny, nz = (n // _BLOCK for n in voxels.shape)  # a grid has even numbers of voxels
+    return np.asarray(voxels.reshape(nx, _BLOCK, ny, _BLOCK, nz, _BLOCK).any(axis=(1, 3, 5)))
 
 
-def _surface_at(low: Floats, edge: float, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
+def _surface_at(low: Floats, edge: float, cells: Bools, level: float, smooth: float) -> TriangleMesh:
     """Return the surface at a distance from the centres of cells, with smoothed distances [edges of a cell]."""
     from skimage.measure import marching_cubes  # takes a third of a second to import
 
-    distance = ndimage.distance_transform_edt(~chosen)
+    distance = ndimage.distance_transform_edt(~cells)
     if smooth and (smoothed := ndimage.gaussian_filter(distance, smooth)).min() < level:  # of lone cells it leaves none
         distance = smoothed
     vertices, faces, _, _ = marching_cubes(distance.astype(np.float32), level, gradient_direction="descent")
@@ -167,7 +167,7 @@ def enclosing_cylinder(hidden: GroundTruth) -> Cylinder:
     """Return the cylinder about a simulated part, wider by `CYLINDER_MARGIN`; its bottom is the lowest point."""
     vertices = hidden.mesh.vertices
     radius = float(np.hypot(vertices[:, 0], vertices[:, 1]).max())
-    return Cylinder(CYLINDER_MARGIN * radius, 2 * float(np.abs(vertices[:, 2]).max()), given=False)
+    return Cylinder(CYLINDER_MARGIN * radius, 2 * float(np.abs(vertices[:, 2]).max()), is_given=False)
 
 
 def with_stand(scene: Scene, cylinder: Cylinder) -> Scene:
@@ -219,15 +219,17 @@ def continue_surface(scans: Sequence[ExecutedScan], space: VoxelSpace, solid: Bo
         The surface for planning; None if there are too few points.
     """
     points, apart = _thin_points(scans, _CUBE * space.edge)
-    found = reconstruct(merge(points), grid=_GRID * apart, reach=_CONTINUATION * space.edge)
-    if found.status is ReconstructionStatus.TOO_FEW_POINTS:
+    reconstruction = reconstruct(merge(points), grid=_GRID * apart, reach=_CONTINUATION * space.edge)
+    if reconstruction.status is ReconstructionStatus.TOO_FEW_POINTS:
         return None
-    parts, tree = list[TriangleMesh](), cKDTree(found.cloud.points, balanced_tree=False, compact_nodes=False)
-    if found.mesh is not None:
-        middles = found.mesh.centres
-        near = tree.query(middles, distance_upper_bound=REACH * found.spacing, workers=2)[0]
-        parts += _submesh(found.mesh, np.isfinite(near) | space.values_at(middles, space.maybe_part).astype(np.bool_))
-    lids = surface_about(space, solid & ~_ahead_of(found.cloud, tree, space, solid))
+    parts, tree = list[TriangleMesh](), cKDTree(reconstruction.cloud.points, balanced_tree=False, compact_nodes=False)
+    if reconstruction.mesh is not None:
+        middles = reconstruction.mesh.centres
+        near = tree.query(middles, distance_upper_bound=REACH * reconstruction.spacing, workers=2)[0]
+        parts += _submesh(
+            reconstruction.mesh, np.isfinite(near) | space.values_at(middles, space.maybe_part).astype(np.bool_)
+        )
+    lids = surface_about(space, solid & ~_ahead_of(reconstruction.cloud, tree, space, solid))
     parts += _submesh(lids, ~_has_similar_normal(lids, parts[0], _NEARBY * space.edge)) if parts else [lids]
     vertices, faces, _ = concatenate_meshes([(each.vertices, each.faces) for each in parts])
     return TriangleMesh(vertices, faces.astype(np.int32))
@@ -237,11 +239,11 @@ def _thin_points(scans: Sequence[ExecutedScan], apart: float) -> tuple[list[Scan
     """Return the first point of each cube of an edge [m], by scan, and the edge, larger for too many cubes."""
     points = np.concatenate([scan.points for scan in scans]) if scans else np.empty((0, 3))
     number = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
-    kept = first_in_cubes(points, apart)
-    while len(kept) > _MAX_CUBES:
-        apart *= np.sqrt(len(kept) / _MAX_CUBES) + 0.01
-        kept = kept[first_in_cubes(points[kept], apart)]
-    points, number = points[kept], number[kept]
+    rows = first_in_cubes(points, apart)
+    while len(rows) > _MAX_CUBES:
+        apart *= np.sqrt(len(rows) / _MAX_CUBES) + 0.01
+        rows = rows[first_in_cubes(points[rows], apart)]
+    points, number = points[rows], number[rows]
     clouds = [ScanCloud(points[number == each], scan.T_reported[:3, 3]) for each, scan in enumerate(scans)]
     return clouds, apart
 
@@ -266,27 +268,27 @@ def _has_similar_normal(lids: TriangleMesh, surface: TriangleMesh, distance: flo
     return np.asarray((np.einsum("fkj,fj->fk", normals, lids.normals) > 0).any(axis=1))
 
 
-def _submesh(mesh: TriangleMesh, chosen: Bools) -> list[TriangleMesh]:
+def _submesh(mesh: TriangleMesh, selection: Bools) -> list[TriangleMesh]:
     """Return the mesh of selected faces as a list, empty without any."""
-    if not chosen.any():
+    if not selection.any():
         return []
-    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+    used, faces = np.unique(mesh.faces[selection], return_inverse=True)
     return [TriangleMesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))]
 
 
-REMAINDER, TRIED, NOT_SELECTED = -3, -2, -1
-"""Beside `Reason`: what views that were to measure it left, near what was measured and far from it; and what a view
-is to measure that was not taken."""
+REMAINDER, MISSED, NOT_SELECTED = -3, -2, -1
+"""Causes beside `Reason`: surface that its views missed, near measured surface and far from it; and surface of a view
+that was not selected."""
 
 NEAR_MEASURED = 2.0
-"""Edges from the middle of a measured voxel within which what views left is a rest, whose believed place and normal
-are too uncertain for any other reason."""
+"""Distance from the middle of a measured voxel [voxel edges] within which missed surface is a remainder: its believed
+position and normal are too uncertain for any other reason."""
 
 _OCCLUDED = (Reason.SOURCE_SHADED_BY_PART, Reason.SENSOR_SHADED_BY_PART, Reason.SOURCE_SHADED, Reason.SENSOR_SHADED)
 
 _SENTENCES: dict[int, str] = {
     REMAINDER: "remainder within two voxels of measured surface, missed by the views for it",
-    TRIED: "missed by views that should measure it: too steep, or not part of the surface",
+    MISSED: "missed by views that should measure it: too steep, or not part of the surface",
     NOT_SELECTED: "measurable by a reachable view that was not selected",
     **dict.fromkeys(_OCCLUDED, "laser or sensor occluded"),
     Reason.OUT_OF_REACH: "views that might measure it are out of reach",
@@ -302,7 +304,7 @@ class UncoveredReport(Value):
 
     Attributes:
         samples: N samples.
-        reason: (N,) `Reason` values, `REMAINDER`, `TRIED` or `NOT_SELECTED`.
+        reason: (N,) `Reason` values, `REMAINDER`, `MISSED` or `NOT_SELECTED`.
         candidates: tested viewpoints.
     """
 
@@ -312,11 +314,13 @@ class UncoveredReport(Value):
 
     def by_area(self) -> tuple[UncoveredArea, ...]:
         """Return the area by cause, largest first."""
-        said = np.array([describe_cause(code) for code in self.reason.tolist()], dtype=object)
-        areas = {each: 1e6 * float(self.samples.areas[said == each].sum()) for each in dict.fromkeys(said.tolist())}
+        causes = np.array([describe_cause(code) for code in self.reason.tolist()], dtype=object)
+        areas = {
+            cause: 1e6 * float(self.samples.areas[causes == cause].sum()) for cause in dict.fromkeys(causes.tolist())
+        }
         return tuple(
-            UncoveredArea(cause=each, area_mm2=round(area, 3))
-            for each, area in sorted(areas.items(), key=lambda item: -item[1])
+            UncoveredArea(cause=cause, area_mm2=round(area, 3))
+            for cause, area in sorted(areas.items(), key=lambda item: -item[1])
         )
 
 
@@ -343,10 +347,10 @@ def assign_causes(
         scanner: the scanner.
         casters: ray casters of the belief and of the occluders.
     """
-    found = closest_causes(samples, candidates, reached, scanner, casters)
-    reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_SELECTED), found)
+    closest = closest_causes(samples, candidates, reached, scanner, casters)
+    reason = np.where(closest == Reason.NOT_SELECTED, np.where(of.tries > 0, MISSED, NOT_SELECTED), closest)
     # Occlusion by other objects so close is a voxel of belief inside the support of the part.
-    reason[(of.tries > 0) & (of.distance_edges <= NEAR_MEASURED) & (found >= Reason.SOURCE_SHADED)] = REMAINDER
+    reason[(of.tries > 0) & (of.distance_edges <= NEAR_MEASURED) & (closest >= Reason.SOURCE_SHADED)] = REMAINDER
     return UncoveredReport(samples, reason, candidates)
 
 
@@ -355,5 +359,5 @@ def closest_causes(
 ) -> Ints:
     """Return (S,) the `Reason` of the candidate that comes closest to measuring each sample."""
     targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
-    found = why.diagnose(targets, rows, candidates, scanner, casters, REASON_OF_VERDICT[reached.verdict])
-    return found.reason.astype(np.int64)
+    diagnosis = why.diagnose(targets, rows, candidates, scanner, casters, REASON_OF_VERDICT[reached.verdict])
+    return diagnosis.reason.astype(np.int64)

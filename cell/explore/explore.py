@@ -112,10 +112,10 @@ def _plan_next(
     for batch in batches:
         work.paths.clear(len(file.batches) + 1)
         plan = _plan_on_measured if batch.on == MEASURED else _plan_on_belief
-        found = plan(work, file, known, batch)
-        if not isinstance(found, StopReason):
-            return found
-        stop = found if batch.on == BELIEVED else stop
+        outcome = plan(work, file, known, batch)
+        if not isinstance(outcome, StopReason):
+            return outcome
+        stop = outcome if batch.on == BELIEVED else stop
     return stop
 
 
@@ -126,9 +126,9 @@ def explain_remaining(work: ExplorationContext, file: ExploreFile, known: Belief
     whole = known.space.belief_voxels(unlimited=True)
     surface = belief.belief_part(belief.surface_about(known.space, whole), work.name)
     scene = _batch_scene(work, request, number, surface)
-    found = explain_uncovered(work.session, scene, surface, request, work.paths.stage(number))
+    uncovered_report = explain_uncovered(work.session, scene, surface, request, work.paths.stage(number))
     work.paths.clear(number)
-    return found
+    return uncovered_report
 
 
 def _plan_on_belief(work: ExplorationContext, file: ExploreFile, known: Belief, batch: Batch) -> Path | StopReason:
@@ -138,9 +138,9 @@ def _plan_on_belief(work: ExplorationContext, file: ExploreFile, known: Belief, 
     part = belief.belief_part(known.surface, work.name)
     request = BatchRequest(known.space, known.record, batch, least, _measured_area(file), _belief_gain_ratio(file))
     if should_keep_min_range(_min_range_history(file)):
-        found = _stage(work, replace(request, keep_min_range=True), number, part)
-        if not isinstance(found, StopReason):
-            return found
+        outcome = _stage(work, replace(request, keep_min_range=True), number, part)
+        if not isinstance(outcome, StopReason):
+            return outcome
         work.paths.clear(number)
     return _stage(work, request, number, part)
 
@@ -241,7 +241,7 @@ def _update_belief(
 ) -> Belief:
     """Return the belief after a batch."""
     before, after, expected = known.space, known.space, request.samples
-    found = np.zeros(len(expected), dtype=np.bool_)
+    is_measured = np.zeros(len(expected), dtype=np.bool_)
     for view, scan in enumerate(scans):
         T = scan.T_reported
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (frustum.source, frustum.sensor))
@@ -249,16 +249,20 @@ def _update_belief(
             frustum.between(scan.points, T, before.gap)
         )
         after = after.with_votes(scan.points, source, sensor, frustum.blank(scan.points, T), frustum.near, frustum.far)
-        found |= request.sees[:, view] & frustum.answered(expected.points, scan.points[before.is_new(scan.points)], T)
-    taken = (*known.scans, *scans)
+        is_measured |= request.sees[:, view] & frustum.answered(
+            expected.points, scan.points[before.is_new(scan.points)], T
+        )
+    all_scans = (*known.scans, *scans)
     if request.on == MEASURED:  # gains on the measured surface do not change the record of the belief surface
-        return Belief(after, known.record, taken)
+        return Belief(after, known.record, all_scans)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_samples_at(expected.points, expected.normals)
-        record = record.with_batch(of, expected.areas / record.weights(of) / request.surface, found.astype(np.float64))
+        record = record.with_batch(
+            of, expected.areas / record.weights(of) / request.surface, is_measured.astype(np.float64)
+        )
     return Belief(
-        after.with_tries(expected.points[after.is_still_open(expected.points, expected.normals)]), record, taken
+        after.with_tries(expected.points[after.is_still_open(expected.points, expected.normals)]), record, all_scans
     )
 
 
@@ -284,8 +288,10 @@ def require_plausible(
             "start a new one with a larger --cylinder or another --place, and remove the points of the part's support"
         )
     moved = "the part was moved, or the poses are wrong; the exploration ends, start a new one"
-    if (gone := space.contradicted_share(points)) > _MAX_OUTSIDE:
-        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was measured as free; {moved}")
+    if (share := space.contradicted_share(points)) > _MAX_OUTSIDE:
+        raise FileError(
+            f"{100 * share:.1f} % of the points of {folder} lie in space that was measured as free; {moved}"
+        )
     passed = max(frustum.passed(space.points, points, T, _MARGIN * space.edge) for points, T in views)
     if passed > _MAX_PASSED:
         raise FileError(
@@ -315,7 +321,7 @@ def _batch_entry(
 ) -> ExploredBatch:
     """Return the explore.json entry of a batch."""
     run, mesh = open_finished(folder), known.surface
-    taken = [(scan.points, scan.T_reported) for scan in scans]
+    clouds = [(scan.points, scan.T_reported) for scan in scans]
     seen, new = known.space.measured_since(before, mesh.centres, mesh.normals)
     return ExploredBatch(
         folder=f"{folder.parent.name}/{folder.name}",
@@ -325,7 +331,7 @@ def _batch_entry(
         points=sum(len(scan.points) for scan in scans),
         seconds=round(run.motion.duration, 6),
         expected_gain_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
-        below_range_mm2=round(1e6 * area_below_min_range(expected.samples, expected.sees, taken, before, frustum), 3),
+        below_range_mm2=round(1e6 * area_below_min_range(expected.samples, expected.sees, clouds, before, frustum), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
         realised_gain_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
         uncovered_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),

@@ -116,8 +116,8 @@ class SensorFrustum:
         one, other = one[known], other[known]
         begin, end, squarely = points[point_of[one]], points[point_of[other]], self.rays[one] - self.rays[other]
         length, away = np.linalg.norm(end - begin, axis=1), np.linalg.norm(begin - self.source_at(T), axis=1)
-        kept = (length > gap) & (length <= _JOINED * away * np.linalg.norm(squarely, axis=1))
-        begin, end, parts = begin[kept], end[kept], np.ceil(length[kept] / gap).astype(np.int64)
+        is_gap = (length > gap) & (length <= _JOINED * away * np.linalg.norm(squarely, axis=1))
+        begin, end, parts = begin[is_gap], end[is_gap], np.ceil(length[is_gap] / gap).astype(np.int64)
         pair = np.repeat(np.arange(len(parts)), parts - 1)
         step = np.arange(len(pair)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
         return np.asarray(begin[pair] + (step / parts[pair])[:, None] * (end - begin)[pair])
@@ -192,9 +192,9 @@ class MinRangeOccluder:
     def blocked(self, origins: Floats, targets: Floats) -> Bools:
         """Return whether each line of sight is blocked (see `RayCaster.blocked`)."""
         nothing = np.zeros(len(origins), dtype=np.bool_)
-        found = nothing if self._occluders is None else np.array(self._occluders.blocked(origins, targets))
-        left = np.flatnonzero(~found)
+        is_blocked = nothing if self._occluders is None else np.array(self._occluders.blocked(origins, targets))
+        left = np.flatnonzero(~is_blocked)
         legs = targets[left] - origins[left]
         share = np.minimum(self._near / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12), 1.0)
-        found[left] = self._possible.blocked(origins[left], origins[left] + share * legs)
-        return found
+        is_blocked[left] = self._possible.blocked(origins[left], origins[left] + share * legs)
+        return is_blocked

@@ -87,7 +87,7 @@ class ExploreOptions(Table):
 
     @field_validator("confirm_motion")
     @classmethod
-    def _check_confirmation(cls, given: str | None) -> str | None:
-        if given is not None and not re.fullmatch(f"{ANY_BATCH}|[0-9a-f]{{{SHORT_DIGEST},64}}", given.lower()):
-            raise ValueError(f"is {given!r}; it must be {ANY_BATCH}, or a digest of {SHORT_DIGEST} characters or more")
-        return None if given is None else given.lower()
+    def _check_confirmation(cls, digest: str | None) -> str | None:
+        if digest is not None and not re.fullmatch(f"{ANY_BATCH}|[0-9a-f]{{{SHORT_DIGEST},64}}", digest.lower()):
+            raise ValueError(f"is {digest!r}; it must be {ANY_BATCH}, or a digest of {SHORT_DIGEST} characters or more")
+        return None if digest is None else digest.lower()

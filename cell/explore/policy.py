@@ -103,15 +103,15 @@ def two_stage(options: ExploreOptions, state: ExplorationState) -> Sequence[Batc
     last = Batch(state.n_left, on=MEASURED, min_gain_factor=_GAIN_FACTORS[MEASURED])
     if state.on == MEASURED:  # the continued surface follows the walls of tubes
         return (last,)
-    worths = dict.fromkeys(_FINE_GAIN_FACTORS[state.stages - 1 :])  # a factor without a view is not tried again
-    return (*(Batch(state.n_left, min_gain_factor=worth) for worth in worths), last)
+    factors = dict.fromkeys(_FINE_GAIN_FACTORS[state.stages - 1 :])  # a factor without a view is not tried again
+    return (*(Batch(state.n_left, min_gain_factor=factor) for factor in factors), last)
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})
 
 
-def _limit_views(state: ExplorationState, wanted: int) -> int:
-    return wanted if state.n_left is None else min(wanted, state.n_left)
+def _limit_views(state: ExplorationState, count: int) -> int:
+    return count if state.n_left is None else min(count, state.n_left)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,11 +195,11 @@ def expected_samples(samples: SurfaceSamples, request: BatchRequest, most: int) 
 
 def _resample(samples: SurfaceSamples, areas: Floats, most: int) -> SurfaceSamples:
     """Return the samples with positive areas; more than `most` are drawn to equal areas."""
-    kept = np.flatnonzero(areas)
-    if len(kept) > most:
+    rows = np.flatnonzero(areas)
+    if len(rows) > most:
         until = np.cumsum(areas)
-        kept, times = np.unique(np.searchsorted(until, until[-1] * (np.arange(most) + 0.5) / most), return_counts=True)
-        areas[kept] = until[-1] / most * times
+        rows, times = np.unique(np.searchsorted(until, until[-1] * (np.arange(most) + 0.5) / most), return_counts=True)
+        areas[rows] = until[-1] / most * times
     return SurfaceSamples(
-        samples.points[kept], samples.normals[kept], areas[kept], samples.face[kept], samples.planning_face[kept]
+        samples.points[rows], samples.normals[rows], areas[rows], samples.face[rows], samples.planning_face[rows]
     )

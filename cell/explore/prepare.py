@@ -76,14 +76,14 @@ def prepare_exploration(
             hidden = GroundTruth.of(scene, part)
     if options.cylinder_mm is not None:
         diameter, height = options.cylinder_mm
-        cylinder = Cylinder(diameter / 2000, height / 1000, given=True)
+        cylinder = Cylinder(diameter / 2000, height / 1000, is_given=True)
     elif hidden is not None:
         cylinder = enclosing_cylinder(hidden)
     else:
         raise UsageError(
             "the part has no known size; give --cylinder DIAMETER,HEIGHT in mm, about --place, that contains the part"
         )
-    known = _as_workpiece(cylinder) if part is None or cylinder.given else part
+    known = _as_workpiece(cylinder) if part is None or cylinder.is_given else part
     settled = settle(scene, known)
     scene, settings, scanner = settled.scene, settled.settings, settled.scanner
     if getattr(scanner, "T_view_scanner", np.eye(4)[None]).shape[0] > 1:
@@ -150,21 +150,21 @@ def initial_file(work: ExplorationContext) -> ExploreFile:
     """Return explore.json before the first batch."""
     options = work.options.model_dump(mode="json", exclude={"confirm_motion"})
     scanning = work.scanning.model_dump(mode="json", exclude={*RESUME_OPTIONS, *_WAIT_OPTIONS})
-    said = work.scene.model_dump(mode="json"), scanning, options
+    request = work.scene.model_dump(mode="json"), scanning, options
     cylinder = work.cylinder
     return ExploreFile(
         schema=SCHEMA,
         part=work.name,
         status="running",
         stop_reason="",
-        inputs=hash_inputs(*said, None if work.part is None else work.part.sha256),
+        inputs=hash_inputs(*request, None if work.part is None else work.part.sha256),
         seed=work.scene.plan.seed,
         policy=work.options.policy,
         source=work.scanning.acquire,
         options=options,
         cylinder=ExploredCylinder(
             diameter_mm=round(2000 * cylinder.radius, 6), height_mm=round(1000 * cylinder.height, 6),
-            centre_mm=work.scene.placement.position_mm, user_defined=cylinder.given,
+            centre_mm=work.scene.placement.position_mm, user_defined=cylinder.is_given,
         ),
         voxel_mm=round(1000 * work.unknown.edge, 6),
         batches=(),

@@ -58,13 +58,13 @@ def improve_views(
     Returns:
         (n, 4, 4) viewpoints and (n,) whether each moved.
     """
-    found, rows = T_object_scanner.copy(), np.flatnonzero(areas > 0)
-    measured = areas[rows] @ evaluator.measured(found, targets, rows)
-    moved = np.zeros(len(found), dtype=np.bool_)
-    for view in range(len(found)):
+    poses, rows = T_object_scanner.copy(), np.flatnonzero(areas > 0)
+    measured = areas[rows] @ evaluator.measured(poses, targets, rows)
+    moved = np.zeros(len(poses), dtype=np.bool_)
+    for view in range(len(poses)):
         for number, scale in enumerate(_SCALES):
             elements = (number * _POSES, (number + 1) * _POSES)
-            T = perturb_pose(found[view], float(distance[view]), scale, elements, 0)
+            T = perturb_pose(poses[view], float(distance[view]), scale, elements, 0)
             threshold = float(measured[view]) * (1 + 1e-9)
             there = areas[rows] @ evaluator.measured(T, targets, rows, (areas[rows], threshold))
             best = np.argsort(-there, kind="stable")[:_TESTED]
@@ -72,5 +72,5 @@ def improve_views(
             if len(best):
                 best = best[evaluator.are_reachable(T[best, None] @ evaluator.T_view_scanner)]
             if len(best):
-                found[view], measured[view], moved[view] = T[best[0]], there[best[0]], True
-    return found, moved
+                poses[view], measured[view], moved[view] = T[best[0]], there[best[0]], True
+    return poses, moved

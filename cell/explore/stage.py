@@ -119,12 +119,12 @@ def explain_uncovered(
     """Return the uncovered surface of a belief by cause, or None if there is none; `out` is left unfinished."""
     with _open_run(session, scene, surface, request, out) as run:
         run.stopped = "explanation of the uncovered surface; no batch is planned"
-        found = _sample_surface(run.session, run.settled, request)
-        if found is None:
+        basis = _sample_surface(run.session, run.settled, request)
+        if basis is None:
             return None
-        cell = pipeline.compile_cell(run.session, run.settled, found.part, is_belief=True)
-        candidates, casters = _find_candidates(run.session, run.settled, found, cell)
-        left = pick_samples(found.scouts, ~request.space.is_measured(found.scouts.points, found.scouts.normals))
+        cell = pipeline.compile_cell(run.session, run.settled, basis.part, is_belief=True)
+        candidates, casters = _find_candidates(run.session, run.settled, basis, cell)
+        left = pick_samples(basis.scouts, ~request.space.is_measured(basis.scouts.points, basis.scouts.normals))
         of = request.space.open_samples_at(left.points, left.normals)
         left = replace(left, areas=left.areas / request.record.weights(of))
         scanner = limited_scanner(run.settled.scene, run.settled.scanner)
@@ -134,24 +134,24 @@ def explain_uncovered(
 def _open_run(
     session: Session[None], scene: Scene, surface: Workpiece, request: BatchRequest, out: Path
 ) -> AbstractContextManager[pipeline.OpenRun]:
-    own = {"max_views": request.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
-    scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=own)})
+    changes = {"max_views": request.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
+    scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=changes)})
     inner = replace(session, out=out, use_cache=False, origin=Origin())
     return pipeline.open_run(inner, scene, surface, with_plots=False)
 
 
 def _plan(session: PlanSession, settled: SettledScene, request: BatchRequest) -> StopReason | None:
     """Plan a batch into the open folder; return the reason if none is worth its views."""
-    found = _sample_surface(session, settled, request)
-    if found is None:
+    basis = _sample_surface(session, settled, request)
+    if basis is None:
         return StopReason("nothing is uncovered")
-    surface, request = found.part, found.request
+    surface, request = basis.part, basis.request
     cell = pipeline.compile_cell(session, settled, surface, is_belief=True)
-    candidates, casters = _find_candidates(session, settled, found, cell)
+    candidates, casters = _find_candidates(session, settled, basis, cell)
     if not candidates.reached.reachable.any():
         return StopReason("the arm reaches no view of the uncovered surface")
     with session.stage("measurability") as progress:
-        measured = measure(session, settled, surface, candidates, casters, progress, samples=found.scouts)
+        measured = measure(session, settled, surface, candidates, casters, progress, samples=basis.scouts)
         files.write_measurability(session.folder, measured.M)
     problem = pipeline.make_problem(session, settled, cell, measured)
     append = pipeline.appending(session, settled, cell, surface)
@@ -170,22 +170,22 @@ def _plan(session: PlanSession, settled: SettledScene, request: BatchRequest) ->
 
 
 def _find_candidates(
-    session: PlanSession, settled: SettledScene, found: _Surface, cell: Cell
+    session: PlanSession, settled: SettledScene, surface: _Surface, cell: Cell
 ) -> tuple[CandidateSet, Sequence[RayCaster]]:
     """Reach and grow candidates; also return the ray casters.
 
     If views must keep the minimum range, space in which the part may be nearer occludes everything behind it.
     """
-    request, casters = found.request, cell.casters(found.part)
+    request, casters = surface.request, cell.casters(surface.part)
     if request.keep_min_range:
         assert settled.scene.scanner.range_mm is not None
         near = settled.scene.scanner.range_mm[0] / 1000
         casters = (casters[0], MinRangeOccluder(casters[1], request.space, near))
     is_short = request.poses is None and request.batch.views != 0
     with session.stage("reach and grow") as progress:
-        candidates = reach_viewpoints(settled, cell, found.viewpoints, progress)
+        candidates = reach_viewpoints(settled, cell, surface.viewpoints, progress)
         schedule = BELIEF_SCHEDULE if is_short else growth.SCHEDULE
-        candidates = with_grown(settled, cell, candidates, found.scouts, casters, schedule=schedule)
+        candidates = with_grown(settled, cell, candidates, surface.scouts, casters, schedule=schedule)
         files.write_candidates(session.folder, settled, candidates)
     return candidates, casters
 
@@ -202,18 +202,19 @@ def _sample_surface(session: PlanSession, settled: SettledScene, request: BatchR
             )
         files.write_meshes(session.folder, reference, planning)
         counts = (N_DRAWN, N_DRAWN) if request.poses is None else N_DRAWN_MEASURED
-        drawn = [
+        sample_sets = [
             draw_samples(reference, planning, count, session.rng(stream))
             for count, stream in zip(counts, (Stream.BELIEF_SAMPLES, Stream.BELIEF_SCOUTS), strict=True)
         ]
-        part, scanner = make_surface(reference, planning, drawn[0]), limited_scanner(settled.scene, settled.scanner)
+        part = make_surface(reference, planning, sample_sets[0])
+        scanner = limited_scanner(settled.scene, settled.scanner)
         rows, scouts = (
-            select_samples(samples, request, kept, scanner, part.caster)
-            for samples, kept in zip(drawn, (MAX_ROWS, MAX_SCOUTS), strict=True)
+            select_samples(samples, request, limit, scanner, part.caster)
+            for samples, limit in zip(sample_sets, (MAX_ROWS, MAX_SCOUTS), strict=True)
         )
         if not len(rows) or not len(scouts):
             return None
-        request = replace(request, gain_ratio=realised_gain_ratio(drawn[0], request, scanner, part.caster))
+        request = replace(request, gain_ratio=realised_gain_ratio(sample_sets[0], request, scanner, part.caster))
         viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
         if (viewpoints.face >= 0).all():
             viewpoints = pick_viewpoints(viewpoints, np.isin(viewpoints.face, rows.planning_face))

@@ -107,10 +107,10 @@ class ExplorationFolder:
     def _only_made(self) -> bool:
         """Return whether the folder was created without a first explore.json."""
         try:
-            found = {path.name for path in self.root.rglob("*")}
+            names = {path.name for path in self.root.rglob("*")}
         except OSError:
             return False
-        return found == {"stages"} or found == {"stages", self._temporary.name}
+        return names == {"stages"} or names == {"stages", self._temporary.name}
 
     @property
     def _temporary(self) -> Path:
@@ -163,6 +163,6 @@ def read_scans(paths: ExplorationFolder, stages: tuple[ExploredBatch, ...]) -> t
     return tuple(scan for stage in stages for scan in read_batch_scans(open_finished(paths.root / stage.folder)))
 
 
-def hash_inputs(*said: object) -> str:
+def hash_inputs(*values: object) -> str:
     """Return the sha256 of JSON values."""
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -68,10 +68,10 @@ def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSett
         for letter, statements in _routines(name, signals, programs[0].q.shape[1]).items()
     }
     main: list[str] = []
-    for number, (program, own) in enumerate(zip(programs, settings, strict=True), start=1):
+    for number, (program, program_settings) in enumerate(zip(programs, settings, strict=True), start=1):
         program.require_straight_sweeps("an L motion of LS")
         title = program.info.name.upper()
-        contents[title] = _file(title, list(_statements(program, own, name)), _positions(program))
+        contents[title] = _file(title, list(_statements(program, program_settings, name)), _positions(program))
         main += [f"MESSAGE[PUT PART FOR SET-UP {number}]", "PAUSE", f"CALL {title}"]
     if len(programs) > 1:
         contents[name] = _file(name, main, ())
@@ -80,7 +80,7 @@ def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSett
 
 def _routines(name: str, signals: ExportOptions, n_axes: int) -> dict[str, tuple[str, ...]]:
     """Return the statements of the routines by their letters."""
-    trigger, done = f"DO[{signals.trigger_output}]", f"DI[{signals.done_input}]"
+    trigger, answer = f"DO[{signals.trigger_output}]", f"DI[{signals.done_input}]"
     time_out = f"$WAITTMOUT={round(signals.timeout * 100)}"  # hundredths of a second
     compare = [
         line
@@ -95,11 +95,11 @@ def _routines(name: str, signals: ExportOptions, n_axes: int) -> dict[str, tuple
         "S": ("LBL[1:scan]", f"CALL {name}_B(AR[1])", f"CALL {name}_E", f"IF {_SCANNED}=0,JMP LBL[1]"),
         "B": (
             f"{_VIEW}=AR[1]", "LBL[1:again]", f"WAIT {signals.settle:.2f}(sec)", time_out,
-            f"WAIT {done}=OFF TIMEOUT,LBL[9]", f"CALL {name}_C", f"{trigger}=ON", "END", "LBL[9:answer not reset]",
+            f"WAIT {answer}=OFF TIMEOUT,LBL[9]", f"CALL {name}_C", f"{trigger}=ON", "END", "LBL[9:answer not reset]",
             "MESSAGE[SCANNER INPUT STILL ON]", "PAUSE", "JMP LBL[1]",
         ),
         "E": (
-            f"{_SCANNED}=1", time_out, f"WAIT {done}=ON TIMEOUT,LBL[9]", f"{trigger}=OFF", "END", "LBL[9:no answer]",
+            f"{_SCANNED}=1", time_out, f"WAIT {answer}=ON TIMEOUT,LBL[9]", f"{trigger}=OFF", "END", "LBL[9:no answer]",
             f"{_SCANNED}=0", f"{trigger}=OFF", "MESSAGE[SCANNER TIME-OUT]", "PAUSE", f"CALL {name}_C",
         ),
         "C": (

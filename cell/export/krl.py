@@ -50,9 +50,9 @@ def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSett
         UsageError: if the arm's axes are not KUKA's, a sweep turns or the controller has not the signals.
     """
     contents: dict[str, bytes] = {}
-    for program, own in zip(programs, settings, strict=True):
-        contents[f"{program.info.name}.src"] = source(program, own)
-        contents[f"{program.info.name}.dat"] = data(program, own)
+    for program, program_settings in zip(programs, settings, strict=True):
+        contents[f"{program.info.name}.src"] = source(program, program_settings)
+        contents[f"{program.info.name}.dat"] = data(program, program_settings)
     if len(programs) > 1:
         contents[f"{name}.src"] = encoded(_main(name, programs))
     return contents
@@ -132,8 +132,8 @@ def _sweep(program: Program, sweep: Sweep, speed_factor: float) -> Iterator[str]
     A line that takes s times as long has 1/s of the speed and 1/s^2 of the acceleration. The length of its ramps stays
     the same, so the speed is constant from the first measuring pose to the last.
     """
-    own = slice(sweep.begin, sweep.end + 1)
-    n_poses, candidate = int((program.pose[own] >= 0).sum()), int(program.candidate[own].max())
+    rows = slice(sweep.begin, sweep.end + 1)
+    n_poses, candidate = int((program.pose[rows] >= 0).sum()), int(program.candidate[rows].max())
     speed, acceleration = sweep.speed * speed_factor, sweep.acceleration * speed_factor**2
     has_length = sweep.speed >= _MIN_LINE_SPEED
     yield f"; sweep of candidate {candidate}: {n_poses} poses at {speed * 1000:.3f} mm/s"

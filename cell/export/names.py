@@ -82,8 +82,8 @@ def check_name(name: str, language: Language) -> None:
     """
     title = LANGUAGES.get(language, "KRL")
     if len(name) > MAX_NAME_LENGTH:
-        shown = name if len(name) <= 2 * MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
-        raise UsageError(f"--name {shown} has {len(name)} characters; a name in {title} has at most {MAX_NAME_LENGTH}")
+        label = name if len(name) <= 2 * MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
+        raise UsageError(f"--name {label} has {len(name)} characters; a name in {title} has at most {MAX_NAME_LENGTH}")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise UsageError(
             f"--name {name or repr(name)} is not a name in {title}; it must begin with a letter and hold only "

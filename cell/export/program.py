@@ -398,8 +398,8 @@ def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:
     Each ramp covers half a step: the speed rises during four fifths of it and eases during the last fifth
     (`planner.path.sweep_line`). A speed of one step in the time d needs the acceleration step / (0.8 d^2).
     """
-    own = np.flatnonzero(motion.line == number)
-    begin, end = int(own[0]) - 1, int(own[-1])
+    rows = np.flatnonzero(motion.line == number)
+    begin, end = int(rows[0]) - 1, int(rows[-1])
     poses = begin + np.flatnonzero(motion.pose[begin : end + 1] >= 0)
     first, last = int(poses[0]), int(poses[-1])
     duration = float(motion.via_t[last] - motion.via_t[first])

@@ -56,8 +56,8 @@ def _module(name: str, programs: Sequence[Program], settings: Sequence[ProgramSe
             yield "    Stop\\NoRegain;"
             yield f"    {program.info.name}_run;"
         yield "  ENDPROC"
-    for program, own in zip(programs, settings, strict=True):
-        yield from _routine(program, program.time_factor(own))
+    for program, program_settings in zip(programs, settings, strict=True):
+        yield from _routine(program, program.time_factor(program_settings))
     yield from _ROUTINES
     places = [f"robax.rax_{axis + 1}" for axis in range(ARM_AXES)] + ["extax.eax_a"] * (n_axes - ARM_AXES)
     for place in places:

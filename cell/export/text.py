@@ -12,5 +12,5 @@ def encoded(lines: Iterable[str]) -> bytes:
 
 
 def _single_line(line: str) -> str:
-    shown = "".join(character if character.isprintable() else "?" for character in line)
-    return shown if len(shown) <= MAX_LINE_LENGTH else shown[: MAX_LINE_LENGTH - 3] + "..."  # only comments
+    text = "".join(character if character.isprintable() else "?" for character in line)
+    return text if len(text) <= MAX_LINE_LENGTH else text[: MAX_LINE_LENGTH - 3] + "..."  # only comments

@@ -57,12 +57,12 @@ def _script(name: str, programs: Sequence[Program], settings: Sequence[ProgramSe
     yield "  set_standard_digital_out(sc_trigger, False)"
     if any(program.sweeps for program in programs):
         yield "  set_standard_digital_out(sc_gate, False)"
-    for number, (program, own) in enumerate(zip(programs, settings, strict=True), start=1):
+    for number, (program, program_settings) in enumerate(zip(programs, settings, strict=True), start=1):
         yield ""
         yield from (f"  # {sentence}" for sentence in program.header())
         if len(programs) > 1:
             yield f'  popup("Put the part at the place of set-up {number}.", "scan-cell", True, False, True)'
-        yield from _motions(program, program.time_factor(own))
+        yield from _motions(program, program.time_factor(program_settings))
     yield from ("end", f"{name}()")
 
 

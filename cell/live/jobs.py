@@ -109,7 +109,7 @@ def _run(task: Mapping[str, Any], send: Callable[[Mapping[str, Any]], None]) -> 
         def note(self, sentence: str) -> None:
             send({"note": sentence})
 
-    reporter = Reporter(lambda stage, done, total: send({"stage": stage, "done": done, "total": total}))
+    reporter = Reporter(lambda stage, n_done, total: send({"stage": stage, "done": n_done, "total": total}))
     source, out = Path(task["source"]), task.get("out")
     if task["command"] == "scan":
         options = ScanOptions(driver="sim://", realtime=True)  # never a real controller

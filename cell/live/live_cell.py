@@ -149,15 +149,15 @@ class LiveCell:
         """
         world, data = self.at(T_base_centre), self.data
         checker = MujocoCollisionChecker(world)
-        found = reach.solve_reach(
+        result = reach.solve_reach(
             data.candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker
         )
-        usable = found.reachable
+        usable = result.reachable
         coverable = self._hidden_exactly(world, usable) if exact else self._hidden(world, usable)
         areas = data.M.samples.areas
         contacts = dict.fromkeys((*checker.contacts(world.home), *_placed_contacts(world)))
         return LiveReach(
-            found.verdict, coverable, float(areas[coverable].sum() / areas.sum()), found.blockers(), tuple(contacts),
+            result.verdict, coverable, float(areas[coverable].sum() / areas.sum()), result.blockers(), tuple(contacts),
             tuple(find_problems(world)) if exact and not contacts else (),
         )  # fmt: skip
 

@@ -44,9 +44,9 @@ def live_page(
     """
     world, canvas = cell.at(T_base_centre), cell.data.canvas
     rows = canvas.vertex_samples()
-    named = [("not coverable here", OPEN), ("coverable by a reachable candidate", GREEN)]
+    legend = [("not coverable here", OPEN), ("coverable by a reachable candidate", GREEN)]
     note = "without the candidates that a plan grows for the rest"
-    layer = Layer(LAYER, "named", reach.coverable[rows].astype(np.uint8), note, named=named)
+    layer = Layer(LAYER, "named", reach.coverable[rows].astype(np.uint8), note, named=legend)
     part, contents = PageSurface("part", canvas.mesh, [layer]), PageContents()
     if run is not None:
         casters = cell.data.surface.caster, make_caster(fixed_occluders(world))

@@ -228,11 +228,11 @@ class LiveServer:
     def _drag(self, content: Any) -> None:
         pose = _parsed(Pose, content)
         if pose.name == states.PART:
-            found = self.cell.evaluate(pose.T, exact=False)
+            new_reach = self.cell.evaluate(pose.T, exact=False)
         else:
             cell = LiveCell(states.moved(self.scene, pose), self.cell)
-            found = cell.evaluate(states.centre_of(cell.settled.scene), exact=False)
-        self._send({"reach": reach_json(found)})
+            new_reach = cell.evaluate(states.centre_of(cell.settled.scene), exact=False)
+        self._send({"reach": reach_json(new_reach)})
 
     def _set(self, content: Any) -> None:
         pose = _parsed(Pose, content)
@@ -246,13 +246,13 @@ class LiveServer:
         self._stop_job()
         known = self.cell.scene.model_copy(update={"placement": scene.placement, "plan": scene.plan})
         cell = self.cell if known == scene else LiveCell(scene, self.cell)
-        found = cell.evaluate(states.centre_of(scene.model_copy(
+        new_reach = cell.evaluate(states.centre_of(scene.model_copy(
             update={"placement": scene.placement.by_centre(cell.settled.part.T_object_centre)}
         )))  # fmt: skip
         self.history.push(scene)
-        self.cell, self.reach = cell, found
+        self.cell, self.reach = cell, new_reach
         self._changed(is_drawn=is_drawn)
-        if self.is_planning and found.is_feasible:
+        if self.is_planning and new_reach.is_feasible:
             self._plan(None)
 
     def _changed(self, *, is_drawn: bool) -> None:

@@ -142,12 +142,12 @@ def scene_of(run: Run) -> Scene:
 
 def targets(scene: Scene) -> list[Pose]:
     """Return the movable objects of a settled scene with their poses."""
-    found = [Pose(name=PART, position_mm=scene.placement.position_mm, abc_deg=scene.placement.abc_deg)]
+    poses = [Pose(name=PART, position_mm=scene.placement.position_mm, abc_deg=scene.placement.abc_deg)]
     base = scene.robot.base or Base()
-    found.append(Pose(name=ROBOT, position_mm=base.position_mm, abc_deg=base.abc_deg))
+    poses.append(Pose(name=ROBOT, position_mm=base.position_mm, abc_deg=base.abc_deg))
     if scene.table.enabled and scene.table.position_mm is not None:
-        found.append(Pose(name=TABLE, position_mm=scene.table.position_mm, abc_deg=scene.table.abc_deg))
-    return found + [Pose(name=each.name, position_mm=each.position_mm, abc_deg=each.abc_deg) for each in scene.fixtures]
+        poses.append(Pose(name=TABLE, position_mm=scene.table.position_mm, abc_deg=scene.table.abc_deg))
+    return poses + [Pose(name=each.name, position_mm=each.position_mm, abc_deg=each.abc_deg) for each in scene.fixtures]
 
 
 def moved(scene: Scene, target: Pose) -> Scene:

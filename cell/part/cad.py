@@ -198,10 +198,10 @@ def _without_hidden_bodies(content: bytes) -> tuple[bytes, int]:
     """
     if b"INVISIBILITY" not in content:
         return content, 0
-    entities = {number: (kind.upper(), rest) for number, kind, rest in _ENTITY.findall(content)}
+    entities = {number: (kind.upper(), parameters) for number, kind, parameters in _ENTITY.findall(content)}
     hidden: set[bytes] = set()
-    for kind, rest in entities.values():
-        todo = _REFERENCE.findall(rest) if kind == b"INVISIBILITY" else []
+    for kind, parameters in entities.values():
+        todo = _REFERENCE.findall(parameters) if kind == b"INVISIBILITY" else []
         while todo:
             number = todo.pop()
             kind_of, inside = entities.get(number, (b"", b""))
@@ -217,13 +217,13 @@ def _without_items(content: bytes, items: set[bytes]) -> bytes:
     """Remove items, by their numbers, from all shape representations of a STEP file."""
 
     def remaining(match: re.Match[bytes]) -> bytes:
-        number, kind, rest = match[1], match[2], match[3]
+        number, kind, parameters = match[1], match[2], match[3]
         if not kind.upper().endswith(b"SHAPE_REPRESENTATION"):
             return match[0]
-        head, opened, listed = rest.partition(b"(")
-        listed, closed, tail = listed.partition(b")")
-        shown = [item for item in listed.split(b",") if item.strip().lstrip(b"#") not in items]
-        return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(shown) + closed + tail + b");"
+        head, opened, item_list = parameters.partition(b"(")
+        item_list, closed, tail = item_list.partition(b")")
+        references = [item for item in item_list.split(b",") if item.strip().lstrip(b"#") not in items]
+        return b"#" + number + b"=" + kind + b"(" + head + opened + b",".join(references) + closed + tail + b");"
 
     return _ENTITY.sub(remaining, content)
 
@@ -238,14 +238,14 @@ def _solids_and_sheets(content: bytes) -> list[bytes]:
     Surfaces beside a solid can cover it or share its edges, so the triangles of both together are not closed. The
     tessellated copy of an exact solid is left out.
     """
-    entities = {number: (kind.upper(), rest) for number, kind, rest in _ENTITY.findall(content)}
-    listed = {
+    entities = {number: (kind.upper(), parameters) for number, kind, parameters in _ENTITY.findall(content)}
+    shape_items = {
         item
-        for kind, rest in entities.values()
+        for kind, parameters in entities.values()
         if kind.endswith(b"SHAPE_REPRESENTATION")
-        for item in _REFERENCE.findall(rest.partition(b"(")[2].partition(b")")[0])
+        for item in _REFERENCE.findall(parameters.partition(b"(")[2].partition(b")")[0])
     }
-    kinds = {item: entities.get(item, (b"", b""))[0] for item in listed}
+    kinds = {item: entities.get(item, (b"", b""))[0] for item in shape_items}
     solids = {item for item, kind in kinds.items() if kind.endswith(_SOLIDS)}
     copies = {
         item for item in solids
@@ -262,9 +262,9 @@ def _read_groups(source: str, groups: list[bytes], scale: float) -> StepModel:
     """Return the solids of all groups, triangulated with tolerances that are scaled."""
     bodies: list[_Body] = []
     for number, content in enumerate(groups):
-        made = _triangulate(source, content, scale=scale, may_be_empty=number > 0)
+        glb_content = _triangulate(source, content, scale=scale, may_be_empty=number > 0)
         try:
-            bodies += _bodies(made, sum(len(body.cad) for body in bodies)) if made else []
+            bodies += _bodies(glb_content, sum(len(body.cad) for body in bodies)) if glb_content else []
         except (glb.GlbError, KeyError, TypeError, ValueError) as error:
             raise _broken_file(source) from error
     try:
@@ -294,14 +294,14 @@ def _volume_error(source: str, groups: list[bytes], model: StepModel, scale: flo
     missing = 0.0
     for index, face in enumerate(model.cad.faces):
         if face.kind in (SurfaceKind.CYLINDER, SurfaceKind.SPHERE, SurfaceKind.CONE, SurfaceKind.TORUS):
-            own = model.cad.of_triangle == index
-            triangles = model.vertices[model.faces[own]]
+            mask = model.cad.of_triangle == index
+            triangles = model.vertices[model.faces[mask]]
             middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
             outside = (
-                middles + 1e-6 * (cross[own] / np.linalg.norm(cross[own], axis=1, keepdims=True).clip(1e-30))[:, None]
+                middles + 1e-6 * (cross[mask] / np.linalg.norm(cross[mask], axis=1, keepdims=True).clip(1e-30))[:, None]
             )
             distance, moved = face.distance(middles), face.distance(outside)
-            missing += float((areas[own, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
+            missing += float((areas[mask, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
     return abs(missing) / volume
 
 
@@ -366,22 +366,22 @@ def _triangulate(
     if b"END-ISO-10303-21" not in content[-2000:]:
         raise FileError(f"{source} is cut short: it has no END-ISO-10303-21; export or copy it again")
     with tempfile.TemporaryDirectory() as folder:
-        given, made = Path(folder) / "part.step", Path(folder) / "part.glb"
-        given.write_bytes(content)
-        words = [str(given), str(made), str(DEVIATION_MM * scale), str(TURN_RAD * scale), str(int(by_face))]
-        done = subprocess.run(
+        step_file, glb_file = Path(folder) / "part.step", Path(folder) / "part.glb"
+        step_file.write_bytes(content)
+        words = [str(step_file), str(glb_file), str(DEVIATION_MM * scale), str(TURN_RAD * scale), str(int(by_face))]
+        process = subprocess.run(
             [sys.executable, str(Path(open_cascade.__file__)), *words],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             check=False,
         )
-        if done.returncode or not made.exists():
-            raise FileError(f"{source} makes Open CASCADE fail (exit code {done.returncode}); export it again")
-        found = made.read_bytes()
-    if not found and not may_be_empty:
+        if process.returncode or not glb_file.exists():
+            raise FileError(f"{source} makes Open CASCADE fail (exit code {process.returncode}); export it again")
+        glb_content = glb_file.read_bytes()
+    if not glb_content and not may_be_empty:
         raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
-    return found
+    return glb_content
 
 
 def states_unit(content: bytes) -> bool:
@@ -409,9 +409,9 @@ class _Body:
     solid: NDArray[np.bool_]
 
 
-def _bodies(made: bytes, count: int = 0) -> Iterator[_Body]:
+def _bodies(glb_content: bytes, count: int = 0) -> Iterator[_Body]:
     """Yield the surfaces with their CAD faces, numbered consecutively from `count` + 1."""
-    for primitive in glb.primitives(made):
+    for primitive in glb.primitives(glb_content):
         extension = primitive.extensions.get("TM_brep_faces")
         described = extension.get("faces", []) if isinstance(extension, Mapping) else [None]
         face_of = primitive.numbers(extension["faceIndices"]) if extension else np.zeros(len(primitive.faces), np.int64)
@@ -463,16 +463,16 @@ def _is_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
     return closed
 
 
-def _join_solids(found: list[_Body]) -> StepModel:
+def _join_solids(bodies: list[_Body]) -> StepModel:
     """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
-    any_solid = any(body.solid.any() for body in found)
-    kept = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
-    omitted = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in kept)
-    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[own]) for body, own in kept)
+    any_solid = any(body.solid.any() for body in bodies)
+    selection = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in bodies]
+    omitted = sum(float(double_areas(body.vertices, body.faces[~mask]).sum()) / 2 for body, mask in selection)
+    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[mask]) for body, mask in selection)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]
-    for body, own in kept:
-        index.append(body.face_of[own] + len(every))
+    for body, mask in selection:
+        index.append(body.face_of[mask] + len(every))
         every += body.cad
     there, of_triangle = np.unique(np.concatenate(index), return_inverse=True)
     cad = CadModel(tuple(every[k] for k in there.tolist()), of_triangle.astype(np.int32))

@@ -42,7 +42,7 @@ def face_table(part: Workpiece, cad: CadModel) -> tuple[list[str], list[list[str
 
 def summary(part: Workpiece) -> dict[str, JsonValue]:
     """Return the description as JSON values."""
-    found: dict[str, JsonValue] = {
+    result: dict[str, JsonValue] = {
         "name": part.name,
         "sha256": part.sha256,
         "extents_mm": _rounded(1000 * part.size),
@@ -53,34 +53,34 @@ def summary(part: Workpiece) -> dict[str, JsonValue]:
         "findings": [finding.sentence for finding in part.findings],
     }
     if (cad := part.cad) is None:
-        return found
+        return result
     areas, centres = cad.areas(part.reference), cad.centres(part.reference)
     kinds: dict[str, JsonValue] = dict(cad.counts())
     faces: list[JsonValue] = [
         _face(face, float(area), centre) for face, area, centre in zip(cad.faces, areas, centres, strict=True)
     ]
-    return {**found, "kinds": kinds, "faces": faces}
+    return {**result, "kinds": kinds, "faces": faces}
 
 
 def _face(face: CadFace, area: float, centre: Floats) -> dict[str, JsonValue]:
     """Return the parameters of a face; absent ones have no key."""
-    found: dict[str, JsonValue] = {
+    result: dict[str, JsonValue] = {
         "number": face.number,
         "kind": face.kind.value,
         "area_mm2": round(1e6 * area, 6),
         "middle_mm": _rounded(1000 * centre),
     }
     if face.point is not None:
-        found["point_mm"] = _rounded(1000 * face.point)
+        result["point_mm"] = _rounded(1000 * face.point)
     if face.axis is not None:
-        found["axis"] = _rounded(face.axis, 9)
+        result["axis"] = _rounded(face.axis, 9)
     if face.radius is not None:
-        found["diameter_mm"] = round(2000 * face.radius, 6)
+        result["diameter_mm"] = round(2000 * face.radius, 6)
     if face.centre_radius is not None:
-        found["centre_radius_mm"] = round(1000 * face.centre_radius, 6)
+        result["centre_radius_mm"] = round(1000 * face.centre_radius, 6)
     if face.half_angle is not None:
-        found["half_angle_deg"] = round(float(np.degrees(face.half_angle)), 6)
-    return found
+        result["half_angle_deg"] = round(float(np.degrees(face.half_angle)), 6)
+    return result
 
 
 def _rounded(values: Floats, digits: int = 6) -> list[JsonValue]:

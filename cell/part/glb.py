@@ -101,21 +101,21 @@ def primitives(content: bytes, folder: Path | None = None) -> Iterator[Primitive
 
     for T, mesh, weights in _placed(described, data):
         for primitive in _list(mesh, "primitives"):
-            found = _primitive(described, data, primitive, weights)
-            if found is None:
+            surface = _primitive(described, data, primitive, weights)
+            if surface is None:
                 continue
-            count += len(found[1]) + _PRIMITIVE_COST
+            count += len(surface[1]) + _PRIMITIVE_COST
             if count > size:
                 raise GlbError("expands to more triangles than it has bytes: export each body once")
-            begin += len(found[0])
+            begin += len(surface[0])
             if begin > 3 * size:
                 raise GlbError("expands to more vertices than it can hold: export each body once")
             mirrored = np.linalg.det(T[:3, :3]) < 0  # flips the winding (3.7.4)
             extensions = primitive.get("extensions")
             yield Primitive(
                 T,
-                found[0] @ T[:3, :3].T + T[:3, 3],
-                found[1][:, :: -1 if mirrored else 1],
+                surface[0] @ T[:3, :3].T + T[:3, 3],
+                surface[1][:, :: -1 if mirrored else 1],
                 _colour(described, primitive.get("material")),
                 extensions if isinstance(extensions, dict) else {},
                 numbers,
@@ -337,10 +337,10 @@ def _compression(described: Table) -> str:
 
 def _list(table: Table, key: str, *, numbers: bool = False) -> list[Any]:
     """Return a list of tables, or of numbers of nodes; [] if it is missing."""
-    found = table.get(key, [])
-    if not isinstance(found, list) or not all(numbers or isinstance(entry, dict) for entry in found):
+    entries = table.get(key, [])
+    if not isinstance(entries, list) or not all(numbers or isinstance(entry, dict) for entry in entries):
         raise GlbError(f"has '{key}' that is not a list: export the mesh again")
-    return found
+    return entries
 
 
 def _index(number: Any, among: list[Any], what: str) -> int:
@@ -357,9 +357,9 @@ def _integer(number: Any) -> int:
 
 def _numbers(values: Any, count: int) -> Floats:
     try:
-        found = np.array(values, dtype=np.float64)
+        numbers = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
         raise GlbError("has a transform that is not a list of numbers: export the mesh again") from error
-    if found.shape != (count,) or not np.isfinite(found).all():
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
         raise GlbError(f"has a transform without {count} finite numbers: export the mesh again")
-    return found
+    return numbers

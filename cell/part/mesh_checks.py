@@ -69,25 +69,25 @@ def repair(vertices: Floats, faces: Ints) -> tuple[Ints, Ints, tuple[Finding, ..
         the checks.
     """
     findings: list[Finding] = []
-    kept = np.flatnonzero(~is_collapsed(faces))
-    n_collapsed = len(faces) - len(kept)
-    once = _unique_faces(faces[kept])
-    n_twice = len(kept) - len(once)
-    kept = kept[once]
-    faces = faces[kept]
+    remaining = np.flatnonzero(~is_collapsed(faces))
+    n_collapsed = len(faces) - len(remaining)
+    once = _unique_faces(faces[remaining])
+    n_twice = len(remaining) - len(once)
+    remaining = remaining[once]
+    faces = faces[remaining]
     if len(faces):
         faces, more = _orient(vertices, faces)
         findings += more
         # Slivers are dropped last, since three different collinear corners still connect their neighbours.
         sliver = double_areas(vertices, faces) <= 1e-14 * float(np.ptp(vertices, axis=0).max()) ** 2
-        faces, kept, n_collapsed = faces[~sliver], kept[~sliver], n_collapsed + int(sliver.sum())
+        faces, remaining, n_collapsed = faces[~sliver], remaining[~sliver], n_collapsed + int(sliver.sum())
     if n_twice:
         sentence = f"{_count(n_twice, 'face was', 'faces were')} duplicated; the copies were dropped"
         findings.insert(0, Finding(Kind.DUPLICATE, sentence, Severity.NOTE))
     if n_collapsed:
         sentence = f"{_count(n_collapsed, 'face has no area and was', 'faces have no area and were')} dropped"
         findings.insert(0, Finding(Kind.ZERO_AREA, sentence, Severity.NOTE))
-    return faces, kept, tuple(findings)
+    return faces, remaining, tuple(findings)
 
 
 def is_collapsed(faces: Ints) -> NDArray[np.bool_]:

@@ -168,11 +168,11 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
     if announced and len(content) >= _STL_HEADER + announced * _STL_FACE:
-        rest = content[_STL_HEADER + announced * _STL_FACE :]
-        if len(rest) >= _STL_FACE and rest.strip(b"\0"):
+        trailer = content[_STL_HEADER + announced * _STL_FACE :]
+        if len(trailer) >= _STL_FACE and trailer.strip(b"\0"):
             raise FileError(
-                f"{path} announces {announced} faces but has {len(rest)} bytes behind them, the size of "
-                f"{len(rest) // _STL_FACE} more; export all bodies again, in one file"
+                f"{path} announces {announced} faces but has {len(trailer)} bytes behind them, the size of "
+                f"{len(trailer) // _STL_FACE} more; export all bodies again, in one file"
             )
         rows = np.frombuffer(content, _STL_ROW, announced, _STL_HEADER)
         return rows["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * announced).reshape(-1, 3)
@@ -250,9 +250,9 @@ def _merge_vertices(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     corner = np.take(which.ravel(), faces.ravel())
     first_use = np.full(len(one), len(corner))
     first_use[corner[::-1]] = np.arange(len(corner) - 1, -1, -1)  # the last assignment, which is the first use, remains
-    named = np.zeros(len(corner) + 1, np.bool_)
-    named[first_use] = True
-    rank = corner[np.flatnonzero(named[:-1])]  # positions in the order of first use
+    is_used = np.zeros(len(corner) + 1, np.bool_)
+    is_used[first_use] = True
+    rank = corner[np.flatnonzero(is_used[:-1])]  # positions in the order of first use
     position = np.empty(len(one), np.int64)
     position[rank] = np.arange(len(rank))
     return places[one[rank]], np.take(position, corner).reshape(-1, 3)
@@ -324,5 +324,5 @@ def _read_textured(content: bytes, suffix: str, metres: float) -> tuple[Triangle
 
 def is_colour(colours: Floats, colour: str) -> Bools:
     """Return which colours (F, 3) are `#rrggbb`, within `COLOUR_TOLERANCE`."""
-    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
-    return np.asarray((np.abs(colours - wanted) <= COLOUR_TOLERANCE).all(axis=1))
+    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+    return np.asarray((np.abs(colours - rgb) <= COLOUR_TOLERANCE).all(axis=1))

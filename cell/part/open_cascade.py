@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 
-def main(source: str, made: str, deviation_mm: str, turn_rad: str, by_face: str) -> None:
+def main(source: str, target: str, deviation_mm: str, turn_rad: str, by_face: str) -> None:
     """Write the GLB of a STEP file: one primitive per body with descriptions of its faces, or one per face."""
     import cascadio
 
@@ -15,7 +15,7 @@ def main(source: str, made: str, deviation_mm: str, turn_rad: str, by_face: str)
         Path(source).read_bytes(), file_type="step", tol_linear=float(deviation_mm), tol_angular=float(turn_rad),
         use_parallel=False, include_brep=not int(by_face), merge_primitives=not int(by_face),
     )  # fmt: skip
-    Path(made).write_bytes(content)
+    Path(target).write_bytes(content)
 
 
 if __name__ == "__main__":

@@ -208,8 +208,8 @@ def _strip_triangles(lengths: Ints, values: NDArray[Any]) -> Ints:
     row = np.repeat(np.arange(len(lengths)), lengths)
     values = _indices(values)
     for number in range(len(lengths)):
-        own = values[row == number]
-        for strip in np.split(own, np.flatnonzero(own == -1)):
+        indices = values[row == number]
+        for strip in np.split(indices, np.flatnonzero(indices == -1)):
             strip = strip[strip != -1]
             if len(strip) >= 3:
                 three = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)

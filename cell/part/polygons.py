@@ -83,9 +83,9 @@ def triangulate(mesh: PolygonMesh) -> tuple[Ints, Ints]:
         fans = np.stack([np.broadcast_to(corners[:, :1], (len(corners), count - 2)), corners[:, 1:-1], corners[:, 2:]])
         triangles.append(fans[:, is_fan].transpose(1, 2, 0).reshape(-1, 3))
         owners.append(np.repeat(polygons[is_fan], count - 2))
-        for polygon, own in zip(polygons[~is_fan], corners[~is_fan], strict=True):
-            cut = _cut(mesh.vertices[own], int(polygon))
-            triangles.append(own[cut])
+        for polygon, polygon_corners in zip(polygons[~is_fan], corners[~is_fan], strict=True):
+            cut = _cut(mesh.vertices[polygon_corners], int(polygon))
+            triangles.append(polygon_corners[cut])
             owners.append(np.full(len(cut), polygon))
     owner = np.concatenate(owners)
     order = np.argsort(owner, kind="stable")

@@ -53,12 +53,12 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
             items = root.findall(f"{_CORE}build/{_CORE}item")
             if not items:
                 raise ThreeMfError("has no build item; export the bodies again")
-            found = [surface for item in items for surface in _surfaces(package, package.main, item, _DEEPEST)]
+            surfaces = [surface for item in items for surface in _surfaces(package, package.main, item, _DEEPEST)]
     except ThreeMfError:
         raise
     except _BROKEN as error:
         raise ThreeMfError("cannot be read as 3MF: archive or model is broken; export it again") from error
-    vertices, faces, _ = concatenate_meshes(found)
+    vertices, faces, _ = concatenate_meshes(surfaces)
     return vertices * _UNITS[unit], faces
 
 

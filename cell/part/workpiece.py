@@ -178,16 +178,16 @@ def from_mesh(
     Raises:
         FileError: if no face has an area.
     """
-    faces, kept, findings = repair(vertices, faces.astype(np.int64))
+    faces, remaining, findings = repair(vertices, faces.astype(np.int64))
     if not len(faces):
         raise FileError(f"every face of {name} has zero area; export the mesh again, or check its scale")
     used = _used_vertices(vertices, faces)
     metres = vertices[used] * UNITS[units]
     mesh = TriangleMesh(metres, (np.cumsum(used, dtype=np.int32) - np.int32(1))[faces])
-    given = None if states_unit or cad is not None else units
-    findings = (*findings, *size_findings(np.ptp(metres, axis=0), given), *_distance_findings(metres))
+    user_units = None if states_unit or cad is not None else units
+    findings = (*findings, *size_findings(np.ptp(metres, axis=0), user_units), *_distance_findings(metres))
     return Workpiece(
-        name, mesh, sha256, findings, None if cad is None else replace(cad, of_triangle=cad.of_triangle[kept])
+        name, mesh, sha256, findings, None if cad is None else replace(cad, of_triangle=cad.of_triangle[remaining])
     )
 
 

@@ -187,8 +187,10 @@ def grow_viewpoints(
     targets = RayTargets.of(scouts.points, scouts.normals, scouts.region)
     poses = viewpoints.T_object_scanner[usable] @ evaluator.T_view_scanner
     seen = coverage.visible_coverage(poses, scouts, evaluator.scanner, evaluator.casters).covered
-    found = growth.grow(targets, seen, evaluator, schedule=schedule, progress=progress)
-    return viewpoints_from_poses(found.T_object_scanner, scouts.points[found.row], scouts.planning_face[found.row])
+    grown_poses = growth.grow(targets, seen, evaluator, schedule=schedule, progress=progress)
+    return viewpoints_from_poses(
+        grown_poses.T_object_scanner, scouts.points[grown_poses.row], scouts.planning_face[grown_poses.row]
+    )
 
 
 def with_grown(
@@ -300,9 +302,11 @@ def append_viewpoints(
 def without_rows(M: Measurability, rows: Bools) -> Measurability:
     """Remove all entries of (S,) selected rows."""
     lengths = np.diff(M.indptr)
-    kept = np.repeat(~rows, lengths)
+    is_retained = np.repeat(~rows, lengths)
     indptr = np.concatenate([[0], np.cumsum(np.where(rows, 0, lengths))])
-    return replace(M, indptr=indptr, indices=M.indices[kept], sigma=None if M.sigma is None else M.sigma[kept])
+    return replace(
+        M, indptr=indptr, indices=M.indices[is_retained], sigma=None if M.sigma is None else M.sigma[is_retained]
+    )
 
 
 def require_reachable(plan: PlanSettings, part: Workpiece, reached: Reach) -> None:

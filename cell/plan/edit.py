@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
+from cell.formatting import comma_list
 from cell.plan import files, pipeline
 from cell.plan.candidates import (
     Cell,
@@ -129,12 +130,12 @@ class _Numbering:
         return len(self.all) - 1
 
 
-def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Floats | None = None) -> Path:
+def edit(session: Session[None], run: Run, edit: Edit, *, T_base_object: Floats | None = None) -> Path:
     """Make a new run of an edited plan; see `cell.api.edit`."""
-    if wanted.repair:
+    if edit.repair:
         require_repairable(run)
-    check_edit(wanted, len(run.candidate), run.report.verdicts.total)
-    if wanted.table_angle_deg and run.scene.table is None:
+    check_edit(edit, len(run.candidate), run.report.verdicts.total)
+    if edit.table_angle_deg and run.scene.table is None:
         raise UsageError(f"{run.folder} has no rotary table; omit table_angle")
     scene = scene_of_run(run)
     if T_base_object is not None:
@@ -143,7 +144,7 @@ def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Float
     opened = None
     try:
         with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
-            opened.conclude(_plan(opened.session, opened.settled, run, wanted, is_moved=T_base_object is not None))
+            opened.conclude(_plan(opened.session, opened.settled, run, edit, is_moved=T_base_object is not None))
         return opened.path
     except (UsageError, UnreachableError):  # nothing in the folder explains more than the message
         if opened is not None:
@@ -151,33 +152,33 @@ def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Float
         raise
 
 
-def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, *, is_moved: bool) -> Verdict:
+def _plan(session: PlanSession, settled: SettledScene, before: Run, edit: Edit, *, is_moved: bool) -> Verdict:
     surface = pipeline.copy_surface(session, settled, before)
     viewpoints, T_scanner_view = scanners.viewpoints_of_columns(settled.scanner, before.candidates)
-    if wanted.drop:
-        settled = _with_bans(session, settled, before, wanted, viewpoints)
+    if edit.drop:
+        settled = _with_bans(session, settled, before, edit, viewpoints)
     cell = pipeline.compile_cell(session, settled, surface)
-    edited = _edited(settled, before, wanted, cell, surface, (viewpoints, T_scanner_view))
+    edited = _edited(settled, before, edit, cell, surface, (viewpoints, T_scanner_view))
     if is_moved:
         with session.stage("reach") as progress:
             candidates = reach_viewpoints(settled, cell, viewpoints, progress)
         measured = pipeline.measure_candidates(session, settled, surface, cell, candidates, may_be_empty=True)
-        edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=wanted.repair)
+        edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=edit.repair)
     else:
         measured = _measured_before(session, settled, before, cell, surface, edited)
-    append = pipeline.appending(session, settled, cell, surface) if wanted.repair else None
-    near_banned = _near(wanted, viewpoints, list(settled.scene.plan.banned))
+    append = pipeline.appending(session, settled, cell, surface) if edit.repair else None
+    near_banned = _near(edit, viewpoints, list(settled.scene.plan.banned))
     pinned = tuple(view for view in settled.scene.plan.pinned if view not in edited.dropped)
     settled = _with_plan(settled, settled.scene.plan.model_copy(update={"pinned": pinned}))
     while True:
-        problem = _problem(session, settled, before, wanted, cell, measured, edited, is_moved=is_moved)
+        problem = _problem(session, settled, before, edit, cell, measured, edited, is_moved=is_moved)
         try:
             problem, plan = pipeline.select_and_connect(
                 session, problem, surface, append, is_allowed=lambda T: ~near_banned.contains(T)
             )
             break
         except PinnedViewError as error:
-            edited = _without(session, error, edited, may_leave_out=is_moved and wanted.repair)
+            edited = _without(session, error, edited, may_leave_out=is_moved and edit.repair)
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
     annotations: dict[str, object] = {"part": before.report.part, "common_cover": before.is_setup_of_group or None}
     if not is_bounded:
@@ -186,7 +187,7 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
     for view in edited.views:
         if not (plan.matrix.indices == view).any():
             session.note(f"{edited.names[view]} measures none of the samples")
-    if wanted.repair:
+    if edit.repair:
         added = [f"{view}" for view in plan.candidate.tolist() if view not in edited.views]
         session.note(f"repaired by adding candidate {', '.join(added)}" if added else "no candidate is added")
     report = pipeline.finish(session, settled, surface.planning, problem, plan, annotations)
@@ -199,38 +200,38 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
     has_target = options.max_views is None and options.multiplicity == 1
     has_target &= options.pose_sd_mm == options.pose_sd_deg == 0
     remedy = _REPAIR
-    if wanted.repair:
+    if edit.repair:
         remedy = "plan again, or edit with a smaller --dropped-range" if options.banned else "plan again"
     verdict = judge_plan(report, (remedy, remedy), has_target=has_target)
     share = plan.cover.covered_area / plan.cover.coverable_area
-    if wanted.repair and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
+    if edit.repair and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
         sentence = f"the plan measures {100 * share:.2f} % of the coverable samples, less than the requested 100 %: "
         return Verdict((sentence + remedy, *verdict.missed))
     return verdict
 
 
 def _with_bans(
-    session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, viewpoints: Viewpoints
+    session: PlanSession, settled: SettledScene, before: Run, edit: Edit, viewpoints: Viewpoints
 ) -> SettledScene:
     """Ban dropped views and the candidates near them, but neither other views nor candidates that the edit adds."""
-    dropped = before.candidate[[number - 1 for number in wanted.drop]]
-    is_near = _near(wanted, viewpoints, dropped).contains(viewpoints.T_object_scanner[:, 0])
-    is_near[[*np.setdiff1d(before.candidate, dropped), *wanted.add_candidate]] = False
+    dropped = before.candidate[[number - 1 for number in edit.drop]]
+    is_near = _near(edit, viewpoints, dropped).contains(viewpoints.T_object_scanner[:, 0])
+    is_near[[*np.setdiff1d(before.candidate, dropped), *edit.add_candidate]] = False
     options = settled.scene.plan
     pinned = tuple(view for view in options.pinned if view not in dropped)
-    banned = tuple(sorted({*options.banned, *np.flatnonzero(is_near).tolist()} - {*pinned, *wanted.add_candidate}))
+    banned = tuple(sorted({*options.banned, *np.flatnonzero(is_near).tolist()} - {*pinned, *edit.add_candidate}))
     if others := int(is_near.sum() - np.isin(dropped, np.flatnonzero(is_near)).sum()):
         session.note(
-            f"{others} candidates within {wanted.dropped_range_mm:g} mm and {wanted.dropped_range_deg:g} deg of a "
+            f"{others} candidates within {edit.dropped_range_mm:g} mm and {edit.dropped_range_deg:g} deg of a "
             "dropped view are banned; --dropped-range changes this"
         )
     return _with_plan(settled, options.model_copy(update={"pinned": pinned, "banned": banned}))
 
 
-def _near(wanted: Edit, viewpoints: Viewpoints, which: ArrayLike) -> Neighbourhood:
+def _near(edit: Edit, viewpoints: Viewpoints, which: ArrayLike) -> Neighbourhood:
     """Return the poses within the range of the edit around some viewpoints."""
     T = viewpoints.T_object_scanner[np.asarray(which, dtype=np.int64), 0]
-    return Neighbourhood(T, wanted.dropped_range_mm / 1000, float(np.radians(wanted.dropped_range_deg)))
+    return Neighbourhood(T, edit.dropped_range_mm / 1000, float(np.radians(edit.dropped_range_deg)))
 
 
 def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
@@ -238,23 +239,23 @@ def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
 
 
 def _edited(
-    settled: SettledScene, before: Run, wanted: Edit, cell: Cell, surface: PartSurface,
+    settled: SettledScene, before: Run, edit: Edit, cell: Cell, surface: PartSurface,
     known: tuple[Viewpoints, Floats],
 ) -> EditedViews:  # fmt: skip
     """Apply the edit; views of a sweeping sensor are named by the middle poses of their sweeps."""
     viewpoints, T_scanner_view = known
-    q = np.append(cell.world.home[:ARM_AXES], np.radians(wanted.table_angle_deg))
+    q = np.append(cell.world.home[:ARM_AXES], np.radians(edit.table_angle_deg))
     T_object_base = np.linalg.inv(cell.world.T_base_part(q))
 
-    def T_object_view(given: Pose) -> Floats:
-        T: Floats = T_object_base @ pose(given[:3], given[3:]) @ T_scanner_view
+    def T_object_view(values: Pose) -> Floats:
+        T: Floats = T_object_base @ pose(values[:3], values[3:]) @ T_scanner_view
         return T
 
     def standoff(T: Floats) -> float:
         hit = surface.caster.first_hit(T[None, :3, 3], T[None, :3, 2]).distance[0]
         return float(hit) if np.isfinite(hit) else float(np.linalg.norm(T[:3, 3] - settled.part.centre))
 
-    return apply_edit(wanted, before.candidate.tolist(), viewpoints, T_object_view, standoff)
+    return apply_edit(edit, before.candidate.tolist(), viewpoints, T_object_view, standoff)
 
 
 def _measured_before(
@@ -301,30 +302,30 @@ def _still_reachable(
     Raises:
         UnreachableError: naming each view that it does not reach, if none may be left out, or none is left.
     """
-    lost = {
+    reasons = {
         view: f"{edited.names[view]} ({unreachable_reason(reached, view)})"
         for view in edited.views
         if not reached.reachable[view]
     }
-    if lost and (not may_leave_out or len(lost) == len(edited.views)):
+    if reasons and (not may_leave_out or len(reasons) == len(edited.views)):
         remedy = "move the part"
         if before.is_repairable:
             remedy = "use --repair to omit them and add the fewest others, or move the part"
         raise UnreachableError(
-            f"at the placement of the part now the arm cannot reach {', '.join(lost.values())}; {remedy}"
+            f"at the placement of the part now the arm cannot reach {', '.join(reasons.values())}; {remedy}"
         )
-    for sentence in lost.values():
+    for sentence in reasons.values():
         session.note(f"{sentence} is omitted")
-    return edited.without(list(lost))
+    return edited.without(list(reasons))
 
 
 def _problem(
-    session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, cell: Cell, measured: MeasuredSet,
+    session: PlanSession, settled: SettledScene, before: Run, edit: Edit, cell: Cell, measured: MeasuredSet,
     edited: EditedViews, *, is_moved: bool,
 ) -> SelectionProblem:  # fmt: skip
     """Request these views; with repair, the fewest additional ones. Unchanged views keep their order."""
     options = settled.scene.plan
-    if wanted.repair:
+    if edit.repair:
         pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))
         banned = tuple(sorted({*options.banned, *edited.dropped} - {*pinned}))
         options = options.model_copy(update={"pinned": pinned, "banned": banned})
@@ -433,16 +434,16 @@ def apply_edit(
     candidate_of |= enumerate([*edit.add_candidate, *poses], start=len(views) + 1)
     added = {candidate: f"candidate {candidate}" for candidate in edit.add_candidate}
     names = added | {candidate: f"added pose {k}" for k, candidate in enumerate(poses, start=1)} | names
-    taken: dict[int, int] = {}
+    number_of: dict[int, int] = {}
     for number, candidate in candidate_of.items():
-        if candidate in taken:
-            raise UsageError(f"view {number} would have the same pose as view {taken[candidate]}; omit one of them")
-        taken[candidate] = number
+        if candidate in number_of:
+            raise UsageError(f"view {number} would have the same pose as view {number_of[candidate]}; omit one of them")
+        number_of[candidate] = number
     return EditedViews(
         views=tuple(candidate_of.values()),
         names=names,
         order=_order(edit, candidate_of, len(views)),
-        dropped=tuple(candidate for candidate in views if candidate not in taken),
+        dropped=tuple(candidate for candidate in views if candidate not in number_of),
         appended=numbering.appended,
     )
 
@@ -453,8 +454,12 @@ def check_edit(edit: Edit, n_views: int, n_candidates: int) -> None:
     Raises:
         UsageError: with the existing numbers.
     """
-    named = {"drop": edit.drop, "move": [each.view for each in edit.move], "turn": [each.view for each in edit.turn]}
-    for key, numbers in named.items():
+    view_numbers = {
+        "drop": edit.drop,
+        "move": [each.view for each in edit.move],
+        "turn": [each.view for each in edit.turn],
+    }
+    for key, numbers in view_numbers.items():
         if wrong := [number for number in numbers if number > n_views]:
             raise UsageError(f"{key} names view {wrong[0]}; the plan has the views 1 to {n_views}")
     if wrong := [candidate for candidate in edit.add_candidate if candidate >= n_candidates]:
@@ -465,12 +470,8 @@ def check_edit(edit: Edit, n_views: int, n_candidates: int) -> None:
         raise UsageError("the edit leaves no view; keep at least one")
     if edit.order and sorted(edit.order) != views:
         missing, extra = sorted({*views} - {*edit.order}), sorted({*edit.order} - {*views})
-        problem = f"leaves out {_listed(missing)}" if missing else f"names {_listed(extra)}"
-        raise UsageError(f"the order {problem}; it must name each of the views {_listed(views)} once")
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, numbers))
+        problem = f"leaves out {comma_list(missing)}" if missing else f"names {comma_list(extra)}"
+        raise UsageError(f"the order {problem}; it must name each of the views {comma_list(views)} once")
 
 
 def _order(edit: Edit, candidate_of: Mapping[int, int], n_views: int) -> tuple[int, ...] | None:

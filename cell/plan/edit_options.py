@@ -52,7 +52,7 @@ class Turn(NamedTuple):
     angle: Degrees
 
 
-def _grouped(size: int, made: Callable[[Sequence[float]], Any]) -> Callable[[Sequence[Any]], Sequence[Any]]:
+def _grouped(size: int, convert: Callable[[Sequence[float]], Any]) -> Callable[[Sequence[Any]], Sequence[Any]]:
     """Read values of an option, `size` numbers each: texts, sequences of numbers, or a table of view and value."""
 
     def read(values: Sequence[Any]) -> Sequence[Any]:
@@ -61,7 +61,7 @@ def _grouped(size: int, made: Callable[[Sequence[float]], Any]) -> Callable[[Seq
             flat += map(float, value.replace(":", ",").split(",") if isinstance(value, str) else [value])
         if len(flat) % size:
             raise ValueError
-        return [made(flat[k : k + size]) for k in range(0, len(flat), size)]
+        return [convert(flat[k : k + size]) for k in range(0, len(flat), size)]
 
     return read
 
@@ -108,7 +108,7 @@ class Edit(Table):
         Option(
             "Move a view to another pose: the scanner in base, mm and KUKA ABC. May be given several times.", _VIEWS,
             metavar="N:X,Y,Z,A,B,C", form=f"number:{_POSE_FORM}", examples=("7:812,430,655,90,0,180",),
-            made=_grouped(7, _move),
+            convert=_grouped(7, _move),
         ),
     ] = ()  # fmt: skip
     turn: Annotated[
@@ -116,7 +116,7 @@ class Edit(Table):
         Field(strict=False),
         Option(
             "Turn a view about its viewing axis. May be given several times.", _VIEWS, metavar="N:DEG",
-            form="number:angle", examples=("7:90",), made=_grouped(2, _turn),
+            form="number:angle", examples=("7:90",), convert=_grouped(2, _turn),
         ),
     ] = ()  # fmt: skip
     add_candidate: Annotated[
@@ -129,7 +129,7 @@ class Edit(Table):
         Field(strict=False),
         Option(
             "Add a view: the scanner in base, mm and KUKA ABC. May be given several times.", _VIEWS,
-            metavar="X,Y,Z,A,B,C", form=_POSE_FORM, examples=("812,430,655,90,0,180",), made=_grouped(6, _pose),
+            metavar="X,Y,Z,A,B,C", form=_POSE_FORM, examples=("812,430,655,90,0,180",), convert=_grouped(6, _pose),
         ),
     ] = ()  # fmt: skip
     table_angle_deg: Annotated[

@@ -128,17 +128,17 @@ def missed_regions(report: schema.Report) -> list[str]:
     """Return a sentence for each coverage below 1 that regions miss on held-out samples."""
     regions = report.regions or ()
     groups = [[each] for each in regions if not each.common_target] + [[each for each in regions if each.common_target]]
-    found = []
+    sentences = []
     for group in groups:
         coverable = sum(each.coverable * each.area_mm2 * each.weight for each in group)
         seen = sum(each.visible * each.area_mm2 * each.weight for each in group)
         if coverable > 0 and group[0].target < 1 and seen < group[0].target * coverable:
             names = " and ".join(f"'{each.name}'" for each in group)
-            found.append(
+            sentences.append(
                 f"the plan measures {percent(seen / coverable)} of the coverable surface of {names}, less than the "
                 f"requested {100 * group[0].target:g} %; see cell why"
             )
-    return found
+    return sentences
 
 
 def _has_pose_error(options: PlanSettings) -> bool:
@@ -201,7 +201,9 @@ def _part(part: Workpiece, planning: TriangleMesh) -> schema.ReportPart:
 def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettings:
     scene, settings, sweeps = settled.scene, settled.settings, plan.driven.sweeps
     seconds = sorted(path.duration for path in sweeps)
-    own = {key: value for key, value in settings.scanner.items() if key not in schema.ReportSettings.model_fields}
+    scanner_keys = {
+        key: value for key, value in settings.scanner.items() if key not in schema.ReportSettings.model_fields
+    }
     return schema.ReportSettings(
         placement_mm=scene.placement.position_mm,
         placement_abc_deg=scene.placement.abc_deg,
@@ -218,7 +220,7 @@ def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettin
         required_visible=scene.plan.required_visible,
         seed=scene.plan.seed,
         **_options(scene.plan),
-        **{key: list(value) if isinstance(value, tuple) else value for key, value in own.items()},
+        **{key: list(value) if isinstance(value, tuple) else value for key, value in scanner_keys.items()},
     )
 
 
@@ -369,7 +371,7 @@ def _regions(
     assert reference.region is not None
     coverable: Bools = problem.prediction.coverable.covered | plan.visible.covered
     times = plan.driven.seen.sum(axis=1)
-    found = []
+    results = []
     for number, region in enumerate(regions):
         rows = np.flatnonzero(samples.region == number)
         area_mm2 = round(1e6 * float(reference.areas[reference.region == number].sum()), 3)
@@ -378,8 +380,8 @@ def _regions(
         share, seen = _mean(coverable[rows]), _mean(times[rows] > 0)
         views = region.views or options.multiplicity
         requested = options.coverage if region.coverage is None else region.coverage
-        lost = rows[~coverable[rows]]
-        found.append(
+        uncoverable_rows = rows[~coverable[rows]]
+        results.append(
             schema.RegionResult(
                 name=region.name,
                 area_mm2=area_mm2,
@@ -394,15 +396,15 @@ def _regions(
                 visible_of_coverable=seen / share if share > 0 else 0.0,
                 satisfied_share=_mean(times[rows] >= views),
                 cause=(
-                    _reason(region, lost, 1 - share, problem)
-                    if len(lost) and share < requested
+                    _reason(region, uncoverable_rows, 1 - share, problem)
+                    if len(uncoverable_rows) and share < requested
                     else ""
                     if len(rows)
                     else no_samples(area_mm2, len(samples))
                 ),
             )
         )
-    return tuple(found)
+    return tuple(results)
 
 
 def _mean(values: Bools) -> float:
@@ -417,11 +419,13 @@ def no_samples(area_mm2: float, n_samples: int) -> str:
     )
 
 
-def _reason(region: RegionTargets, lost: Ints, share: float, problem: SelectionProblem) -> str:
+def _reason(region: RegionTargets, uncoverable: Ints, share: float, problem: SelectionProblem) -> str:
     """Return the most frequent cause for which no reachable candidate measures a share of a region."""
     known = problem.prediction
     samples, scanner = known.samples, known.scanner
-    some = lost[np.linspace(0, len(lost) - 1, min(_N_DIAGNOSED, len(lost))).round().astype(np.int64)]
+    some = uncoverable[
+        np.linspace(0, len(uncoverable) - 1, min(_N_DIAGNOSED, len(uncoverable))).round().astype(np.int64)
+    ]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
     fails = REASON_OF_VERDICT[problem.reached.verdict]
     why = diagnose(targets, some, problem.candidates, scanner, known.casters, fails)
@@ -468,23 +472,23 @@ def attainable_coverage(
     """
     known, samples = problem.prediction, problem.prediction.samples
     is_known = np.asarray(known.coverable.covered | visible.covered)
-    rest = np.flatnonzero(~is_known)
+    unknown_rows = np.flatnonzero(~is_known)
     total = float(samples.areas.sum())
-    left = float(samples.areas[rest].sum()) / total
+    left = float(samples.areas[unknown_rows].sum()) / total
     # A share that is estimated from n samples has a standard error of at most 1 / (2 sqrt(n)).
     count = max(_LEAST_SEARCHED, int(np.ceil((left / (2 * _ATTAINABLE_ERROR)) ** 2)))
-    some = np.sort(rng.permutation(rest)[: min(count, problem.request.effort.searched_samples)])
-    searched = pick_samples(samples, some)
-    found = probe_attainable(
+    sample_rows = np.sort(rng.permutation(unknown_rows)[: min(count, problem.request.effort.searched_samples)])
+    searched = pick_samples(samples, sample_rows)
+    probe = probe_attainable(
         RayTargets.of(searched.points, searched.normals, searched.region),
         view_evaluator(problem.cell, known.scanner, known.casters),
     )
-    share = estimated_share(found.measured, len(rest))
-    out_of_reach = estimated_share(found.visible & ~found.measured, len(rest)).value
+    share = estimated_share(probe.measured, len(unknown_rows))
+    out_of_reach = estimated_share(probe.visible & ~probe.measured, len(unknown_rows)).value
     return schema.Attainable(
         share=float(samples.areas[is_known].sum()) / total + left * share.value,
         standard_error=left * share.standard_error,
-        samples=len(some),
+        samples=len(sample_rows),
         out_of_reach=left * out_of_reach,
         out_of_sight=left * (1 - share.value - out_of_reach),
     )

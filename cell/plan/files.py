@@ -69,7 +69,7 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
     """Return the sha256 of the inputs of a plan: the part, and the scene with files by their content."""
     optional = {"region": scene.region, "setup": scene.setup, "table": scene.table.enabled}
     optional |= {"feature": scene.feature, "inspection": scene.inspection != Inspection()}
-    content = scene.model_dump(mode="json", exclude={key for key, given in optional.items() if not given})
+    content = scene.model_dump(mode="json", exclude={key for key, value in optional.items() if not value})
     for region in content.get("region", ()):
         if region["painted"] is not None:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
@@ -89,15 +89,15 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
 
 def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     """Return the files that the user named: scene, part, robot with its meshes, meshes of fixtures."""
-    named = [("scene", scene_path), ("part", scene.part.path), ("qif", scene.inspection.qif)]
-    named += [("robot", path) for path in _robot_files(scene)]
-    named += [
+    files = [("scene", scene_path), ("part", scene.part.path), ("qif", scene.inspection.qif)]
+    files += [("robot", path) for path in _robot_files(scene)]
+    files += [
         (f"fixture:{fixture.name}", fixture.path) for fixture in scene.fixtures if isinstance(fixture, MeshFixture)
     ]
-    found = [(what, Path(path).absolute()) for what, path in named if path is not None]
+    paths = [(what, Path(path).absolute()) for what, path in files if path is not None]
     return tuple(
         NamedFile(role=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-        for what, path in found
+        for what, path in paths
     )
 
 
@@ -332,7 +332,7 @@ def queue_views(session: PlanSession, settled: SettledScene, problem: SelectionP
     T = np.linalg.inv(world.scene.robot.T_base) @ world.T_base_object  # the plot is in the frame of the robot
     plots.send(
         "reach_map", folder / "reach.png", T_base_scanner=T @ problem.candidates.T_object_scanner[:, 0],
-        verdict=problem.reached.verdict, part_corners=corners @ T[:3, :3].T + T[:3, 3], chosen=plan.candidate,
+        verdict=problem.reached.verdict, part_corners=corners @ T[:3, :3].T + T[:3, 3], views=plan.candidate,
         envelope=np.stack(wrist_positions(world.model, world.scene.robot.T_base, _ENVELOPE_STEP), axis=1),
     )  # fmt: skip
 
@@ -352,10 +352,12 @@ def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Mo
     from cell.view.page import second_half
     from cell.view.run_pages import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
 
-    rest = second_half(plan_contents(report, plan.views, motion, world.T_base_object, commands_of(report, world.model)))
+    second = second_half(
+        plan_contents(report, plan.views, motion, world.T_base_object, commands_of(report, world.model))
+    )
     adopt_plots(session)
     half = session.folder.path / PARTIAL_PAGE_FILE
-    session.folder.write_text(PAGE_FILE, half.read_text(encoding="utf-8") + rest)
+    session.folder.write_text(PAGE_FILE, half.read_text(encoding="utf-8") + second)
     half.unlink()
 
 

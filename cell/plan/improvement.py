@@ -109,20 +109,20 @@ def swap_views(
         usable: (V,) candidates that may be used.
         rng: randomness of the search.
     """
-    found, members = _swap_cover(problem, arm, selection, usable, rng)
+    swap, members = _swap_cover(problem, arm, selection, usable, rng)
     log.info(
         "views swapped for others that measure the same: straight moves of %.3f s before, %.3f s after; %d orderings",
-        found.duration_before,
-        found.duration,
-        found.orderings,
+        swap.duration_before,
+        swap.duration,
+        swap.orderings,
     )
     dwell = problem.request.dwell_s
-    before = found.duration_before + dwell * len(selection.cover.views)
-    swapped = replace(EquivalentViews.of(arm, members), straight_before=before, visited=tuple(found.visited.tolist()))
+    before = swap.duration_before + dwell * len(selection.cover.views)
+    swapped = replace(EquivalentViews.of(arm, members), straight_before=before, visited=tuple(swap.visited.tolist()))
     if problem.request.costs is None:
         return swapped
     draws = rng.spawn(1)[0]  # so that the motion is that of the fewest views if no other cover is better
-    timed, _ = _with_tour(problem, arm, (found, members), draws)
+    timed, _ = _with_tour(problem, arm, (swap, members), draws)
     other, others = _least_time_cover(problem, arm, selection, (timed, members), usable, draws)
     if other is timed:
         return swapped
@@ -134,27 +134,27 @@ def swap_views(
 def _swap_cover(
     problem: SelectionProblem, arm: SelfOcclusion, selection: Selection, usable: Bools, rng: np.random.Generator
 ) -> Swapped:
-    found, target = selection.cover, selection.target
+    known_cover, target = selection.cover, selection.target
     index = VisibilityIndex(arm.M.matrix(), arm.M.samples.areas, usable)
-    spare = found.covered_area - target * found.coverable_area if target < 1 else 0.0
+    spare = known_cover.covered_area - target * known_cover.coverable_area if target < 1 else 0.0
     requested = problem.request.plan.coverage
     least = max(requested, float(selection.shares[0]) - _MAX_LOSS)
-    enough = target * found.coverable_area * (1 - _ROUNDING)
+    enough = target * known_cover.coverable_area * (1 - _ROUNDING)
     # A second swap of many views takes longer than it saves.
-    retries = spare > 0 and len(found.views) <= MANY_CLUSTERS
+    retries = spare > 0 and len(known_cover.views) <= MANY_CLUSTERS
     for allowed in (spare, 0.0) if retries else (spare,):
         swap = exchange_views(
-            index, found.views, arm.configurations, problem.world.home, problem.limits, rng,
-            pinned=found.pinned.tolist(), slack=allowed,
+            index, known_cover.views, arm.configurations, problem.world.home, problem.limits, rng,
+            pinned=known_cover.pinned.tolist(), slack=allowed,
         )  # fmt: skip
         if requested >= 1:
             return swap, swap.groups
-        kept = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[swap.views]) >= least
-        if kept and _covered_area(index, swap.views) >= enough:
+        is_sufficient = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[swap.views]) >= least
+        if is_sufficient and _covered_area(index, swap.views) >= enough:
             return swap, single_views(swap.views)
-    views = restored_views(problem, found.views, swap, least)
+    views = restored_views(problem, known_cover.views, swap, least)
     if len(views) > len(swap.views) or _covered_area(index, views) < enough:
-        return swap, single_views(found.views)
+        return swap, single_views(known_cover.views)
     visited = views[np.array([np.flatnonzero(swap.views == view)[0] for view in swap.visited])]
     once = np.sort(np.unique(views, return_index=True)[1])  # a restored view may itself be a replacement
     return replace(swap, views=views, visited=visited), single_views(views[once])
@@ -162,17 +162,17 @@ def _swap_cover(
 
 def _with_tour(problem: SelectionProblem, arm: SelfOcclusion, swapped: Swapped, rng: np.random.Generator) -> Swapped:
     """Return the swap with a tour through the views of its groups; restored views are not in its own tour."""
-    found, members = swapped
+    exchange, members = swapped
     views = np.array([group[0] for group in members])
-    stops = zip(found.visited.tolist(), found.stops[1:-1], strict=False)
-    is_same = np.array_equal(np.sort(found.visited), np.sort(views)) and len(found.stops) == len(views) + 2
+    stops = zip(exchange.visited.tolist(), exchange.stops[1:-1], strict=False)
+    is_same = np.array_equal(np.sort(exchange.visited), np.sort(views)) and len(exchange.stops) == len(views) + 2
     if is_same and all((arm.configurations(view) == q).all(axis=1).any() for view, q in stops):
         return swapped
     index = VisibilityIndex(arm.M.matrix(), arm.M.samples.areas, np.ones(arm.M.shape[1], dtype=np.bool_))
     timed = exchange_views(
         index, views, arm.configurations, problem.world.home, problem.limits, rng, pinned=views.tolist()
     )
-    return replace(timed, duration_before=found.duration_before), members
+    return replace(timed, duration_before=exchange.duration_before), members
 
 
 def restored_views(problem: SelectionProblem, original: Ints, swap: ViewExchange, least: float) -> Ints:
@@ -194,8 +194,8 @@ def restored_views(problem: SelectionProblem, original: Ints, swap: ViewExchange
     views, before = swap.views.copy(), original[swap.replaces]
     aim = known.visible(T[original]).covered
     while (share := known.share_of_coverable(T[views])) < least:
-        changed, lost = np.flatnonzero(views != before), aim & ~known.visible(T[views]).covered
-        open_area, seen = known.samples.areas[lost], known.seen(T[before[changed]], among=lost)
+        changed, is_lost = np.flatnonzero(views != before), aim & ~known.visible(T[views]).covered
+        open_area, seen = known.samples.areas[is_lost], known.seen(T[before[changed]], among=is_lost)
         gap = (least - share) * known.coverable.area
         while gap > 0.0 and (gains := open_area @ seen).any():
             best = int(gains.argmax())
@@ -237,13 +237,13 @@ def _least_time_cover(
         cheapest = select_views(priced, rng, M=arm.M, rejected=rejected, start=start)
         has_returned = frozenset(cheapest.cover.views.tolist()) in seen
         if not has_returned:
-            found, others = _with_tour(problem, arm, _swap_cover(problem, arm, cheapest, usable, rng), rng)
-            seen |= {frozenset(cheapest.cover.views.tolist()), frozenset(found.views.tolist())}
-            seconds = found.duration + request.dwell_s * len(others)
+            swap, others = _with_tour(problem, arm, _swap_cover(problem, arm, cheapest, usable, rng), rng)
+            seen |= {frozenset(cheapest.cover.views.tolist()), frozenset(swap.views.tolist())}
+            seconds = swap.duration + request.dwell_s * len(others)
             log.info("another cover of %d views: %.3f s with the motion, best %.3f s", len(others), seconds, least)
-            since, prices = since + 1, prices_of(found)
+            since, prices = since + 1, prices_of(swap)
             if seconds < least * (1.0 - 1e-9):
-                best, least, members, since = found, seconds, others, 0
+                best, least, members, since = swap, seconds, others, 0
         if has_returned or since == 2:
             if without_tour is None:
                 break

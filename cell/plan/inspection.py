@@ -52,20 +52,20 @@ def write_features(folder: RunFolder, scene: Scene, part: Workpiece) -> tuple[st
 
 
 def add_certain_views(
-    session: PlanSession, problem: SelectionProblem, chosen: Selection, surface: PartSurface,
+    session: PlanSession, problem: SelectionProblem, selection: Selection, surface: PartSurface,
     rng: np.random.Generator, fresh: np.random.Generator,
 ) -> tuple[SelectionProblem, Selection]:  # fmt: skip
     """Add views for the uncertainty of the characteristics, and note those that miss their requirement."""
     plan = _plan_of(session.folder)
     if plan.u_over_t is None or not callable(getattr(problem.prediction.scanner, "sigma", None)):
-        return problem, chosen
+        return problem, selection
     if not problem.request.allows_swaps:
         session.note("no views are added for the uncertainty of characteristics: another request concerns the views")
-        return problem, chosen
-    problem, chosen, notes = add_views_for_uncertainty(problem, chosen, surface, plan, rng, fresh)
+        return problem, selection
+    problem, selection, notes = add_views_for_uncertainty(problem, selection, surface, plan, rng, fresh)
     for sentence in notes:
         session.note(sentence)
-    return problem, chosen
+    return problem, selection
 
 
 def uncertainty_section(
@@ -94,12 +94,12 @@ def _section(
         session.note("the uncertainty of characteristics is not predicted: the scanner has no model of its noise")
         return []
     pose_sd = (scene.plan.pose_sd_mm, scene.plan.pose_sd_deg)
-    found = predict_plan(plan, reference, setups, pose_sd, Path(scene.part.source).stem)
-    session.folder.write_json(PREDICTED, found.as_json())
-    for each in found.characteristics if is_noted else ():
+    prediction = predict_plan(plan, reference, setups, pose_sd, Path(scene.part.source).stem)
+    session.folder.write_json(PREDICTED, prediction.as_json())
+    for each in prediction.characteristics if is_noted else ():
         if each.cause:
             session.note(f"{each.name}: {each.cause}")
-    return markdown(found)
+    return markdown(prediction)
 
 
 def _plan_of(folder: RunFolder) -> InspectionPlan:

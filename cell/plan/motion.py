@@ -124,7 +124,7 @@ class ConnectedPlan(Value):
 class NextAction(Enum):
     """Result of an attempt to connect selected views."""
 
-    DONE = "every selected view is connected"
+    FINISH = "every selected view is connected"
     CONNECT = "some views have fewer configurations now: connect them again"
     SELECT = "views were rejected, or measure less now: select again"
 
@@ -164,7 +164,7 @@ class ViewConnector(ABC):
 
     def check_motion(self, views: Ints, motion: Tour) -> NextAction:
         """Check a motion through all of (n,) candidates."""
-        return NextAction.DONE
+        return NextAction.FINISH
 
     def between_table_angles(
         self, groups: EquivalentViews, motion: Tour, shares: Sequence[float]
@@ -224,7 +224,7 @@ class ViewsAtRest(ViewConnector):
         """Check the arm at the stops of the motion."""
         match self._arm.update(views[motion.order], motion.q):
             case OcclusionUpdate.CLEAR:
-                return NextAction.DONE
+                return NextAction.FINISH
             case OcclusionUpdate.OTHER_CONFIGURATIONS:
                 return NextAction.CONNECT
             case _:
@@ -244,14 +244,16 @@ class ViewsAtRest(ViewConnector):
             return None
         step = 2 * np.pi / self._problem.world.scene.table.angles
         aside = step * np.concatenate([shares, np.negative(shares)])
-        picks, found = groups.picked_by(motion), []
+        picks, configurations_of = groups.picked_by(motion), []
         for view, q in sorted(zip(motion.order.tolist(), motion.q, strict=True), key=lambda stop: stop[0]):
-            own = groups.configurations[view][groups.owner[view] == picks[view]]
-            found.append(np.concatenate([own, self._configurations_beside(chain, int(picks[view]), q, aside)]))
+            configurations = groups.configurations[view][groups.owner[view] == picks[view]]
+            configurations_of.append(
+                np.concatenate([configurations, self._configurations_beside(chain, int(picks[view]), q, aside)])
+            )
         return EquivalentViews(
             single_views(picks),
-            tuple(np.full(len(q), pick) for q, pick in zip(found, picks, strict=True)),
-            tuple(found),
+            tuple(np.full(len(q), pick) for q, pick in zip(configurations_of, picks, strict=True)),
+            tuple(configurations_of),
         )
 
     def _configurations_beside(self, chain: ArmOnTable, view: int, q: Floats, aside: Floats) -> Floats:
@@ -261,20 +263,20 @@ class ViewsAtRest(ViewConnector):
         angles = from_steps(to_steps(q[ARM_AXES] + aside))
         branches = chain.inverse_at(T_part_scanner @ np.linalg.inv(world.T_flange_scanner), angles)
         solved = setpoints(branches, chain.limits)
-        found = []
+        nearest = []
         for side in range(len(angles)):
-            own = solved.q[solved.pose == side]
-            if len(own):
-                found.append(own[np.argmin(np.abs(own - q).max(axis=1))])
-        near = np.array(found).reshape(-1, len(q))
+            configurations = solved.q[solved.pose == side]
+            if len(configurations):
+                nearest.append(configurations[np.argmin(np.abs(configurations - q).max(axis=1))])
+        near = np.array(nearest).reshape(-1, len(q))
         near = near[problem.cell.checker.free(near)]
         return near[self._arm.occludes_no_more(view, q, near)] if len(near) else near
 
     def occludes_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
         """Return whether the arm hides nothing at (n,) candidates that it showed in the motion before."""
-        taken = dict(zip(before.order.tolist(), before.q, strict=True))
+        q_before = dict(zip(before.order.tolist(), before.q, strict=True))
         stops = zip(motion.order.tolist(), motion.q, strict=True)
-        return all(self._arm.occludes_no_more(int(views[k]), taken[k], q[None])[0] for k, q in stops)
+        return all(self._arm.occludes_no_more(int(views[k]), q_before[k], q[None])[0] for k, q in stops)
 
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the stops, and the samples that they measure with the arm as an occluder."""
@@ -307,9 +309,9 @@ class SweepingViews(ViewConnector):
         """Reject candidates whose sweep cannot be driven; the most frequent reasons come first."""
         rejected = {}
         for view in views.tolist():
-            found = self._sweeps(view)
-            if not found.paths:
-                reasons = Counter(refused.sentence for refused in found.refused)
+            sweeps = self._sweeps(view)
+            if not sweeps.paths:
+                reasons = Counter(refused.sentence for refused in sweeps.refused)
                 common = "; ".join(reason for reason, _ in reasons.most_common(2))
                 rejected[view] = f"its sweep cannot be driven: {common}"
         return NextAction.SELECT if rejected else NextAction.CONNECT, rejected
@@ -319,8 +321,8 @@ class SweepingViews(ViewConnector):
         paths = [self._sweeps(int(view)).paths for view in views]
         return EquivalentViews(
             single_views(views),
-            tuple(np.full(len(own), view) for view, own in zip(views, paths, strict=True)),
-            tuple(np.stack([path.q[0] for path in own]) for own in paths),
+            tuple(np.full(len(view_paths), view) for view, view_paths in zip(views, paths, strict=True)),
+            tuple(np.stack([path.q[0] for path in view_paths]) for view_paths in paths),
         )
 
     def traversals(self, views: Ints) -> list[list[SweepTraversal]]:
@@ -330,8 +332,8 @@ class SweepingViews(ViewConnector):
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the sweeps of a motion with their poses and timing."""
         world, kinematics = self._problem.world, self._problem.cell.kinematics
-        taken = zip(motion.order.tolist(), motion.choice.tolist(), strict=True)
-        sweeps = tuple(self._sweeps(int(views[view])).paths[choice] for view, choice in taken)
+        choices = zip(motion.order.tolist(), motion.choice.tolist(), strict=True)
+        sweeps = tuple(self._sweeps(int(views[view])).paths[choice] for view, choice in choices)
         q = np.stack([path.measured_q for path in sweeps])
         T_base_scanner = kinematics.forward(q.reshape(-1, ARM_AXES)) @ world.T_flange_scanner
         poses = (np.linalg.inv(world.T_base_object) @ T_base_scanner).reshape(*q.shape[:2], 4, 4)
@@ -392,17 +394,17 @@ def connect_views(
     rejected: dict[int, str] = {}
     before: tuple[int, ...] = ()
     while isinstance(
-        found := _try_to_connect(problem, views, selection, rejected, before, motion_rng, progress), _Retry
+        outcome := _try_to_connect(problem, views, selection, rejected, before, motion_rng, progress), _Retry
     ):
-        for view, reason in found.rejected.items():
+        for view, reason in outcome.rejected.items():
             if view in problem.request.plan.pinned:
                 raise PinnedViewError(view, reason)
-        rejected |= found.rejected
-        before = found.visited or before
-        if found.action is NextAction.SELECT:
+        rejected |= outcome.rejected
+        before = outcome.visited or before
+        if outcome.action is NextAction.SELECT:
             selection = select_views(problem, selection_rng, M=views.M, rejected=rejected, shaded=views.shaded)
-    found = _between_table_angles(problem, views, selection, found, motion_rng)
-    return _connected_plan(problem, views, selection, rejected, found)
+    outcome = _between_table_angles(problem, views, selection, outcome, motion_rng)
+    return _connected_plan(problem, views, selection, rejected, outcome)
 
 
 def _try_to_connect(
@@ -419,9 +421,9 @@ def _try_to_connect(
     The search begins with the candidates that the last attempt visited, in their order.
     """
     selected = selection.cover.views
-    action, lost = views.check(selected)
+    action, rejections = views.check(selected)
     if action is NextAction.SELECT:
-        return _Retry(action, lost)
+        return _Retry(action, rejections)
     groups = views.groups(selection, problem.usable(rejected), rng)
     motion = _plan_motion(problem, views, selection, groups, before, rng, progress)
     # Detours may cost more than the swaps save, and a motion without some views is shorter for that reason.
@@ -443,36 +445,40 @@ def _try_to_connect(
         )
     if motion.dropped:
         unconnected = {
-            view: lost.reason.sentence + (f" ({lost.blocker})" if lost.blocker else "")
-            for lost in motion.dropped
-            for view in groups.members[lost.view].tolist()
+            candidate: exclusion.reason.sentence + (f" ({exclusion.blocker})" if exclusion.blocker else "")
+            for exclusion in motion.dropped
+            for candidate in groups.members[exclusion.view].tolist()
         }
         return _Retry(NextAction.SELECT, unconnected, groups.visited_by(motion))
     action = views.check_motion(groups.picked_by(motion), motion)
-    if action is NextAction.DONE:
+    if action is NextAction.FINISH:
         return _Connected(groups, motion)
     return _Retry(action, visited=groups.visited_by(motion))
 
 
 def _between_table_angles(
-    problem: SelectionProblem, views: ViewConnector, selection: Selection, found: _Connected, rng: np.random.Generator
+    problem: SelectionProblem,
+    views: ViewConnector,
+    selection: Selection,
+    connection: _Connected,
+    rng: np.random.Generator,
 ) -> _Connected:
     """Shorten a motion without detours by table angles between those of the scene."""
     short = replace(problem.request.motion, guesses=problem.request.motion.guesses[:1], polish=0)
     problem = replace(problem, request=replace(problem.request, motion=short))
     for shares in TABLE_STEPS:
-        if found.motion.detour.any():
-            return found
-        groups = views.between_table_angles(found.groups, found.motion, shares)
+        if connection.motion.detour.any():
+            return connection
+        groups = views.between_table_angles(connection.groups, connection.motion, shares)
         if groups is None:
-            return found
-        before = found.groups.visited_by(found.motion)
+            return connection
+        before = connection.groups.visited_by(connection.motion)
         motion = _plan_motion(problem, views, selection, groups, before, rng, None)
-        is_shorter = not motion.dropped and motion.duration < found.motion.duration * (1 - 1e-9)
+        is_shorter = not motion.dropped and motion.duration < connection.motion.duration * (1 - 1e-9)
         # Other configurations at the angles of the scene are nodes as well; the arm was not checked there.
-        if is_shorter and views.occludes_no_more(groups.views, found.motion, motion):
-            found = _Connected(groups, motion)
-    return found
+        if is_shorter and views.occludes_no_more(groups.views, connection.motion, motion):
+            connection = _Connected(groups, motion)
+    return connection
 
 
 def _plan_motion(
@@ -513,10 +519,12 @@ def _ordering(request: Request, selection: Selection) -> Ordering:
 
 def _connected_plan(
     problem: SelectionProblem, views: ViewConnector, selection: Selection, rejected: Mapping[int, str],
-    found: _Connected,
+    connection: _Connected,
 ) -> ConnectedPlan:  # fmt: skip
     world, kinematics = problem.world, problem.cell.kinematics
-    cover, motion = cover_of_motion(selection.cover, views.M, found.motion, found.groups.picked_by(found.motion))
+    cover, motion = cover_of_motion(
+        selection.cover, views.M, connection.motion, connection.groups.picked_by(connection.motion)
+    )
     if problem.request.costs is not None:
         cover = _with_cost(problem, selection, cover, motion)
     driven = views.driven(cover.views, motion)

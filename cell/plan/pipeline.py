@@ -189,7 +189,7 @@ def open_run(
         with folder.keep_on_failure(), _logged(folder.path / "run.log"):
             files.write_scene(folder, session.origin.scene_path)
             path = session.origin.scene_path
-            folder.named(files.named_files(settled.scene, path), files.overridden_keys(scene, path))
+            folder.record_files(files.named_files(settled.scene, path), files.overridden_keys(scene, path))
             yield run
             if (folder.path / "plan.json").is_file():  # each of several set-ups has a folder and digest of its own
                 folder.seal()
@@ -356,9 +356,9 @@ def select_and_connect(
     choice, search = start, None
     if append is not None and is_searched:
         with _search_stage(session, len(start[1].cover.views)) as report:
-            draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
+            search_rng, comparison_rng = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
             moved_problem, moved, search = search_views(
-                *start, surface, append, draws, others, rng, report, is_allowed=is_allowed
+                *start, surface, append, search_rng, comparison_rng, rng, report, is_allowed=is_allowed
             )
             choice = moved_problem, moved
     initial = start
@@ -402,19 +402,19 @@ def select_and_connect(
 @contextmanager
 def _search_stage(session: PlanSession, n_views: int) -> Iterator[SearchProgress]:
     """Record the pose search as a stage, and report the number of views found so far."""
-    with session.folder.stage("search fewer views"), ExitStack() as shown:
+    with session.folder.stage("search fewer views"), ExitStack() as stack:
 
         def show(n_views: int) -> Progress:
-            shown.close()
-            return shown.enter_context(session.reporter.stage(f"search fewer than {n_views} views"))
+            stack.close()
+            return stack.enter_context(session.reporter.stage(f"search fewer than {n_views} views"))
 
         fewest, report = n_views, show(n_views)
 
-        def update(done: int, total: int, n_views: int) -> None:
+        def update(n_done: int, total: int, n_views: int) -> None:
             nonlocal fewest, report
             if n_views < fewest:
                 fewest, report = n_views, show(n_views)
-            report(done, total)
+            report(n_done, total)
 
         yield update
 
@@ -472,11 +472,11 @@ def finish(
 
 def _optional_results(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> OptionalResults:
     """Compute optional results: simulated pose errors, coverage curve, attainable coverage."""
-    found, options, cover = plan.selection, problem.request.plan, plan.cover
-    if found.note:
-        session.note(found.note)
+    plan_selection, options, cover = plan.selection, problem.request.plan, plan.cover
+    if plan_selection.note:
+        session.note(plan_selection.note)
     robust, curve = None, None
-    if numbers := evaluation.robust_selection(found, cover.total_area):
+    if numbers := evaluation.robust_selection(plan_selection, cover.total_area):
         with session.stage("simulate executions") as progress:
             rng = session.rng(Stream.SIMULATED_EXECUTIONS)
             robust = selection.simulate_pose_errors(
@@ -485,7 +485,7 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
     if options.curve:
         with session.stage("coverage over views"):
             rng = session.rng(Stream.COVERAGE_CURVE)
-            points = selection.curve_of_plan(problem, plan.matrix, found, rng)
+            points = selection.curve_of_plan(problem, plan.matrix, plan_selection, rng)
             selection.write_curve(session.folder, session.plots, points, len(cover.views), cover.covered_area)
         curve = selection.minimum_views_of(points)
     with session.stage("attainable coverage"):

@@ -110,8 +110,8 @@ def skip_reason(problem: SelectionProblem) -> str:
         "the fill method rays": plan.fill != "aimed",
         "a scanner that sweeps": not problem.is_at_rest,
     }
-    found = [name for name, is_given in reasons.items() if is_given]
-    return f"the search does not support {found[0]}" if found else ""
+    names = [name for name, is_given in reasons.items() if is_given]
+    return f"the search does not support {names[0]}" if names else ""
 
 
 def search_views(
@@ -169,7 +169,7 @@ def search_views(
     result = search_poses(
         initial, pool, [Place(table.pick(needed), are_reachable)], weights[needed] / weights[coverable].sum(),
         shortfall=shortfall, effort=effort, rng=rng, pool_measured=pool_measured[:, needed],
-        progress=lambda done, total, n_views: progress(done, total, len(fixed) + n_views),
+        progress=lambda n_done, total, n_views: progress(n_done, total, len(fixed) + n_views),
     )  # fmt: skip
     # Views that hold the requirement on the fresh samples may miss the requested share of the held-out samples.
     fewer = [views for views in result.found if len(views) < len(initial)]
@@ -255,8 +255,8 @@ def draw_evaluated(
     """
     samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
     ease = np.mean([_ease(M, usable, samples) for M, usable in matrices], axis=0)
-    kept, share = _thinned(ease, max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
-    return pick_samples(samples, kept), 1.0 / share[kept]
+    rows, share = _thinned(ease, max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
+    return pick_samples(samples, rows), 1.0 / share[rows]
 
 
 def make_table(samples: SurfaceSamples, known: Prediction) -> DirectionTable:

@@ -124,12 +124,12 @@ class RegionGroups:
         """Collect the targets of a scene's regions, the rest included; None without regions."""
         if not regions:
             return None
-        own = [each for each in regions if each.is_measured and each.coverage is not None]
+        separate = [each for each in regions if each.is_measured and each.coverage is not None]
         shared = [each for each in regions if each.is_measured and each.coverage is None]
         first = int(bool(shared))  # the group that regions without a coverage share
-        coverage = [plan.coverage] * first + [float(each.coverage or 0.0) for each in own]
+        coverage = [plan.coverage] * first + [float(each.coverage or 0.0) for each in separate]
         return cls(
-            np.array([first + own.index(each) if each in own else 0 for each in regions]),
+            np.array([first + separate.index(each) if each in separate else 0 for each in regions]),
             np.array(coverage or [plan.coverage]),
             np.array([min(plan.multiplicity if each.views is None else each.views, _MAX_DEMAND) for each in regions]),
             np.array([each.weight for each in regions]),
@@ -457,12 +457,12 @@ def _select(
 
     def solve(targets: Floats, work: int, start: Selection | None) -> Selection:
         is_short = request.is_probed or (request.costs is not None and start is not None)
-        found = _cover(request, cover_problem, targets, rng, work if is_short else effort.cover_work, start)
-        poses = problem.candidates.T_object_scanner[found.cover.views]
+        selection = _cover(request, cover_problem, targets, rng, work if is_short else effort.cover_work, start)
+        poses = problem.candidates.T_object_scanner[selection.cover.views]
         if request.regions is None:
-            return replace(found, shares=np.array([problem.prediction.share_of_coverable(poses)]))
+            return replace(selection, shares=np.array([problem.prediction.share_of_coverable(poses)]))
         shares = request.regions.shares(problem.prediction, poses)
-        return replace(found, shares=np.where(request.targets < 1, shares, 1.0))
+        return replace(selection, shares=np.where(request.targets < 1, shares, 1.0))
 
     work = {Search.PROBE: effort.probe_work, Search.REPEATED: effort.repeat_work}.get(search, effort.selection_work)
     if start is None or search is not Search.FULL:
@@ -477,17 +477,17 @@ def _with_raised_targets(
     requested: Floats, start: Selection, solve: Callable[[Floats, Selection], Selection]
 ) -> Selection:
     """Return the first selection that holds on held-out samples; targets of groups are raised where needed."""
-    found = start
+    selection = start
     for raises in range(_N_RAISES):
         is_last = raises == _N_RAISES - 1
         more = np.ones(len(requested))
         if not is_last:
-            more = np.maximum(found.raised_targets(requested), found.targets + _RAISE_STEP)
-        targets = np.where(found.shares < requested, np.minimum(more, 1.0), found.targets)
-        found = solve(targets, found).with_bounds_of(found)
-        if found.satisfies(requested) or (found.targets[found.shares < requested] >= 1).all():
+            more = np.maximum(selection.raised_targets(requested), selection.targets + _RAISE_STEP)
+        targets = np.where(selection.shares < requested, np.minimum(more, 1.0), selection.targets)
+        selection = solve(targets, selection).with_bounds_of(selection)
+        if selection.satisfies(requested) or (selection.targets[selection.shares < requested] >= 1).all():
             break
-    return found
+    return selection
 
 
 def _cover(
@@ -504,9 +504,9 @@ def _cover(
         return Selection(connected, targets, connected.sentence if graph.is_connected else graph.sentence, graph)
     known = None if start is None or request.plan.solver != "auto" else start.cover.views
     budget = cover.scaled_effort(work, problem.matrix.nnz)
-    found = cover.solve(problem, rng=rng, solver=request.plan.solver, start=known, effort_budget=budget)
+    solution = cover.solve(problem, rng=rng, solver=request.plan.solver, start=known, effort_budget=budget)
     is_weighted = problem.weights is not None
-    return Selection(found, targets, found.sentence, cost_bound=found.cost_bound, is_weighted=is_weighted)
+    return Selection(solution, targets, solution.sentence, cost_bound=solution.cost_bound, is_weighted=is_weighted)
 
 
 def select_with_row_generation(
@@ -564,8 +564,8 @@ def _with_rows_for_all(
     known, T = problem.prediction, problem.candidates.T_object_scanner
     for left in reversed(range(ROUNDS + 1)):
         selection = select_views(problem, rng, search=Search.PROBE)
-        chosen = T[selection.cover.views]
-        if not left or known.share_of_coverable(chosen) >= ALL:
+        poses = T[selection.cover.views]
+        if not left or known.share_of_coverable(poses) >= ALL:
             break
         pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
         added = _needed_rows(problem, selection, pool)
@@ -614,14 +614,14 @@ def continue_selection(problem: SelectionProblem, probe: Selection, rng: np.rand
     if probe.satisfies(requested):  # if these views stay, then as views for targets that they meet
         targets = np.minimum(targets, probe.claimed_coverage)
     probe = replace(probe, targets=targets)
-    found = select_views(problem, rng, start=probe, search=Search.CONTINUED)
-    if found.satisfies(requested) or not probe.satisfies(requested):
-        return found
+    selection = select_views(problem, rng, start=probe, search=Search.CONTINUED)
+    if selection.satisfies(requested) or not probe.satisfies(requested):
+        return selection
     # Fewer views that fall short: a few more of the matrix' samples, or else the views of the probe.
-    again = replace(found, targets=found.raised_targets(requested))
-    more = select_views(problem, rng, start=again, search=Search.REPEATED).with_bounds_of(found)
+    again = replace(selection, targets=selection.raised_targets(requested))
+    more = select_views(problem, rng, start=again, search=Search.REPEATED).with_bounds_of(selection)
     is_better = more.satisfies(requested) and len(more.cover.views) < len(probe.cover.views)
-    return more if is_better else probe.with_bounds_of(found)
+    return more if is_better else probe.with_bounds_of(selection)
 
 
 def _needed_rows(problem: SelectionProblem, selection: Selection, pool: SurfaceSamples) -> Bools:
@@ -631,18 +631,20 @@ def _needed_rows(problem: SelectionProblem, selection: Selection, pool: SurfaceS
     left = pick_samples(left, find_measured(T[problem.usable()], left, known.scanner, known.casters))
     # All fresh samples of the planning faces that fail: the failing samples alone would overstate the failure.
     needed = np.isin(pool.planning_face, left.planning_face)
-    some = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _N_ADDED_ROWS)]
-    return np.asarray(np.isin(np.arange(len(pool)), some))
+    rows = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _N_ADDED_ROWS)]
+    return np.asarray(np.isin(np.arange(len(pool)), rows))
 
 
 def measure_rows(measured: MeasuredSet, usable: Bools, samples: SurfaceSamples) -> Measurability:
     """Return the matrix of further samples for (V,) usable candidates, with occluders and limit on sigma applied."""
     columns, total, known = np.flatnonzero(usable), len(measured.candidates), measured.prediction
     candidates, scanner = pick_viewpoints(measured.candidates, columns), known.scanner
-    part, others = known.casters
-    M = apply_occluders(fill_matrix(candidates, samples, scanner, part), candidates, scanner, others, ray_caster=part)
+    part, occluders = known.casters
+    M = apply_occluders(
+        fill_matrix(candidates, samples, scanner, part), candidates, scanner, occluders, ray_caster=part
+    )
     if measured.M.sigma is not None:
-        M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, others))
+        M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, occluders))
     return spread_measurability(M, columns, total)
 
 
@@ -702,8 +704,8 @@ def simulate_pose_errors(
         progress: called with (executions done, executions).
     """
     every = prediction.samples
-    some = np.sort(rng.permutation(len(every))[:_N_SIMULATED_SAMPLES])
-    samples = pick_samples(every, some)
+    rows = np.sort(rng.permutation(len(every))[:_N_SIMULATED_SAMPLES])
+    samples = pick_samples(every, rows)
     area = samples.areas / samples.areas.sum()
     error, n = pose_error(plan), len(T_object_poses)
 
@@ -746,15 +748,15 @@ def curve_of_plan(
         selection: views of the plan.
         rng: randomness of the search.
     """
-    request, found = problem.request, selection.cover
+    request, known = problem.request, selection.cover
     is_full = request.allows_swaps and selection.target == 1.0 and request.costs is None
     plan = request.plan
     cover_problem = CoverProblem(
         M.matrix(), M.samples.areas, problem.reached.reachable, pinned=plan.pinned, banned=plan.banned
     )
     return coverage_curve(
-        cover_problem, rng=rng, known_selections=[found.views],
-        min_views_full_coverage=found.lower_bound if is_full else 0, effort_budget=request.effort.curve_work,
+        cover_problem, rng=rng, known_selections=[known.views],
+        min_views_full_coverage=known.lower_bound if is_full else 0, effort_budget=request.effort.curve_work,
     )  # fmt: skip
 
 

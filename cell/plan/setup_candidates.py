@@ -81,17 +81,17 @@ class SetupCandidate:
 
     def scene(self, shared: Scene) -> Scene:
         """Return the scene of this set-up alone."""
-        own: dict[str, object] = {
+        changes: dict[str, object] = {
             "placement": self.placement,
             "setup": (),
             "plan": shared.plan.without_selection().with_order_of(shared.plan),
         }
         if self.post is not None:
-            own["post"] = self.post
+            changes["post"] = self.post
         if self.table is not None:
-            own["fixtures"] = (*shared.fixtures, *self.table.fixtures)
-            own |= {} if self.table.post is None else {"post": self.table.post}
-        return shared.model_copy(update=own)
+            changes["fixtures"] = (*shared.fixtures, *self.table.fixtures)
+            changes |= {} if self.table.post is None else {"post": self.table.post}
+        return shared.model_copy(update=changes)
 
 
 def given_candidates(scene: Scene) -> list[SetupCandidate]:
@@ -138,14 +138,16 @@ def proposed_candidates(world: World, part: TriangleMesh, limit: int) -> list[Se
     placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
     turns_deg = _TURNS_DEG[:1] if _table_turns_part(world) else _TURNS_DEG
     turns = Rotation.from_rotvec(np.outer(turns_deg, (0.0, 0.0, 1.0)), degrees=True).as_matrix()
-    found: list[SetupCandidate] = []
+    proposals: list[SetupCandidate] = []
     for name, R, post in _poses(world, part, placed):
         for turn, about_vertical in zip(turns_deg, turns, strict=True):
             text, is_placed = f"{name}, turned by {turn:g} deg" if turn else name, R is placed
-            found.append(SetupCandidate(text, _placement(world, about_vertical @ R), post=post, rests=not is_placed))
-        if len(found) >= limit:
+            proposals.append(
+                SetupCandidate(text, _placement(world, about_vertical @ R), post=post, rests=not is_placed)
+            )
+        if len(proposals) >= limit:
             break
-    return found[:limit]
+    return proposals[:limit]
 
 
 def _poses(world: World, part: TriangleMesh, placed: Floats) -> Iterator[tuple[str, Floats, Post | None]]:
@@ -164,10 +166,10 @@ def _poses(world: World, part: TriangleMesh, placed: Floats) -> Iterator[tuple[s
         name = f"in a stable pose of probability {probability:.2f}"
         if not post.enabled:
             yield name, R, None
-        elif (own := Underside(part, R, axis).supporting_post(post)) is None:
+        elif (new_post := Underside(part, R, axis).supporting_post(post)) is None:
             fastened.append((name + needs_fixture(), R, None))
         else:
-            yield f"{name} on a post of {own.diameter_mm:g} mm", R, None if own == post else own
+            yield f"{name} on a post of {new_post.diameter_mm:g} mm", R, None if new_post == post else new_post
     yield from fastened
 
 
@@ -282,10 +284,10 @@ class _ContactEvaluator(ViewEvaluator):
     contact: Bools
 
     def measured(
-        self, views: Floats, targets: RayTargets, rows: Ints, worth: tuple[Floats, float] | None = None
+        self, views: Floats, targets: RayTargets, rows: Ints, threshold: tuple[Floats, float] | None = None
     ) -> Bools:
         """Return (m, n) whether each viewpoint (n, 4, 4) [m] measures each row; see `ViewEvaluator.measured`."""
-        return ViewEvaluator.measured(self, views, targets, rows, worth) & ~self.contact[rows, None]
+        return ViewEvaluator.measured(self, views, targets, rows, threshold) & ~self.contact[rows, None]
 
 
 def make_setup(
@@ -327,12 +329,12 @@ def make_setup(
     cell = Cell.of(world)
     with session.stage(candidate.name) as progress:
         casters, supports = cell.casters(surface), fixed_occluders(world)
-        found = reach_viewpoints(settled, cell, viewpoints)
-        found = with_grown(settled, cell, found, scouts, casters, progress)
-        if not found.reached.reachable.any():
+        candidate_set = reach_viewpoints(settled, cell, viewpoints)
+        candidate_set = with_grown(settled, cell, candidate_set, scouts, casters, progress)
+        if not candidate_set.reached.reachable.any():
             return "the arm reaches no candidate"
         measured = measure(
-            session, settled, surface, found, casters, progress, ignored=in_contact(surface.samples, supports),
+            session, settled, surface, candidate_set, casters, progress, ignored=in_contact(surface.samples, supports),
             may_be_empty=True,
         )  # fmt: skip
         contact = in_contact(measured.prediction.samples, supports)
@@ -389,21 +391,21 @@ def try_candidates(
         rows = surface_samples(settled.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         surface = make_surface(reference, planning, rows)
         scouts = draw_samples(reference, planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
-        given = given_candidates(settled.scene)
+        scene_candidates = given_candidates(settled.scene)
         # If none is proposed, the placement of the scene is no set-up candidate.
         scenes = [settled.scene]
         if not limit:
-            scenes = [settled.scene.model_copy(update={"placement": each.placement}) for each in given]
+            scenes = [settled.scene.model_copy(update={"placement": each.placement}) for each in scene_candidates]
         settled, world = first_possible_cell([replace(settled, scene=scene) for scene in scenes], reference)
         settled = replace(settled, scene=with_fixed_table(settled.scene, world))
         fixed = [] if first is None else [_fixed_candidate(first)]
-        candidates = _distinct([*fixed, *given, *proposed_candidates(world, reference, limit)])
+        candidates = _distinct([*fixed, *scene_candidates, *proposed_candidates(world, reference, limit)])
         has_one_pose = len({candidate.name.split(",")[0] for candidate in candidates}) == 1 < limit
         if settled.scene.setup == () and has_one_pose:
             turned = ", turned," if len(candidates) > 1 else ""
             session.note(f"the part has no other stable pose: the only candidate is the part as it is placed{turned}")
-    tried = [make_setup(session, settled, surface, world, each, viewpoints, scouts) for each in candidates]
-    return surface, candidates, tried
+    outcomes = [make_setup(session, settled, surface, world, each, viewpoints, scouts) for each in candidates]
+    return surface, candidates, outcomes
 
 
 def _is_same_mesh(one: TriangleMesh, other: TriangleMesh) -> bool:
@@ -430,13 +432,13 @@ def first_possible_cell(settled: Sequence[SettledScene], reference: TriangleMesh
 
 def _distinct(candidates: list[SetupCandidate]) -> list[SetupCandidate]:
     """Remove proposed candidates with the pose of an earlier one among the same fixtures."""
-    kept: list[SetupCandidate] = []
+    distinct: list[SetupCandidate] = []
     for candidate in candidates:
         is_known = (
             np.abs(candidate.placement.T - other.placement.T).max() < _SAME
             and not (other.table and other.table.fixtures)
-            for other in kept
+            for other in distinct
         )
         if candidate.table is not None or not any(is_known):
-            kept.append(candidate)
-    return kept
+            distinct.append(candidate)
+    return distinct

@@ -28,7 +28,7 @@ _PIN, _BAN = (
         metavar="SETUP:ID[,...]",
         form="candidates, each as SETUP:ID with the number of the set-up candidate (setups.json)",
         examples=("0:12,5:40",),
-        made=_split,
+        convert=_split,
     )
     for name, help_ in (("pin", "Candidates that must be views."), ("ban", "Candidates that must not be views."))
 )

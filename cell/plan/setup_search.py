@@ -104,7 +104,7 @@ class SetupsRequest:
             seconds |= {row: np.full(n, selection.MIN_COST)} if plan.cost == "time" else {}
             if not pose_error(plan).is_exact:
                 rng = session.rng(Stream.POSE_ERRORS)
-                layers[row] = pose_probabilities(plan, setup.measured, rng, lambda done, total: None)
+                layers[row] = pose_probabilities(plan, setup.measured, rng, lambda n_done, total: None)
         return replace(self, seconds=seconds, layers=layers, fixed_views=tuple(fixed_views))
 
     @property
@@ -230,14 +230,14 @@ class SetupSearch:
         """
         last = None
         for left in reversed(range(_MAX_COVERS)):
-            found = self._cover(fast=True)
+            cover = self._cover(fast=True)
             # Before a motion is planned in vain; half of the tries are kept for views that cannot be connected.
-            if 2 * left >= _MAX_COVERS and self._request_more(found, self._poses(found)):
+            if 2 * left >= _MAX_COVERS and self._request_more(cover, self._poses(cover)):
                 continue
-            if (connected := self._connect(found)) is None:
+            if (connected := self._connect(cover)) is None:
                 continue
-            last = found, connected
-            if not self._request_more(found, _driven(connected)):
+            last = cover, connected
+            if not self._request_more(cover, _driven(connected)):
                 break
         if last is None:
             raise UnreachableError(
@@ -245,34 +245,36 @@ class SetupSearch:
             )
         return self._with_shared_surface(*self._thorough(*last))
 
-    def _thorough(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
+    def _thorough(self, solution: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
         """Bound a cover with the full budget, and search for fewer views that hold the coverage.
 
         Fewer views that miss it are searched again with more rows or a higher target.
         """
-        refined = self._refined(found)
+        refined = self._refined(solution)
         bounded, others, before = None, [refined] if refined else [], (self._M.copy(), self._targets)
         for _ in range(_MAX_THOROUGH):
-            thorough = self._cover(fast=False, start=(refined or found).views)
+            thorough = self._cover(fast=False, start=(refined or solution).views)
             for better in sorted((thorough, *others), key=lambda cover: cover.objective):
-                holds = better.objective < found.objective and (self._deficit(better, self._poses(better)) <= 0).all()
+                holds = (
+                    better.objective < solution.objective and (self._deficit(better, self._poses(better)) <= 0).all()
+                )
                 plans = self._connect(better) if holds else None
                 if plans is not None and (self._deficit(better, _driven(plans)) <= 0).all():
                     return better.with_bounds_of(thorough), plans  # of all set-ups and refined views
-            bounded, others = bounded or found.with_bounds_of(thorough), []  # later covers have higher targets
-            if thorough.objective >= found.objective or not self._request_more(thorough, self._poses(thorough)):
+            bounded, others = bounded or solution.with_bounds_of(thorough), []  # later covers have higher targets
+            if thorough.objective >= solution.objective or not self._request_more(thorough, self._poses(thorough)):
                 break
         self._M, self._targets = before  # as they were requested
-        return bounded or found, connected
+        return bounded or solution, connected
 
-    def fewest_views(self, found: GroupedCover) -> tuple[int, int] | None:
+    def fewest_views(self, cover: GroupedCover) -> tuple[int, int] | None:
         """Return numbers of set-ups and views for the fewest views; None unless more set-ups save views.
 
         With as many set-ups, only views that connect scans make a difference.
         """
         problem = self._request.cover_problem(self._M, self._usable)
-        other = fewest_views(problem, found.targets, self._rng, self._session.effort.cover_work)
-        saves = other is not None and other[0] > len(found.views) and other[1] < found.n_views
+        other = fewest_views(problem, cover.targets, self._rng, self._session.effort.cover_work)
+        saves = other is not None and other[0] > len(cover.views) and other[1] < cover.n_views
         return other if saves else None
 
     def curve(self, connected: Connected) -> Curve:
@@ -307,12 +309,12 @@ class SetupSearch:
             effort_budget=self._session.effort.cover_work,
         )  # fmt: skip
 
-    def _views(self, found: GroupedCover) -> dict[int, Ints]:
+    def _views(self, cover: GroupedCover) -> dict[int, Ints]:
         """Return the selected candidates of each used set-up; a cover numbers the possible set-ups from 0."""
         rows = list(self.setups)
-        return {rows[group]: views for group, views in found.views.items()}
+        return {rows[group]: views for group, views in cover.views.items()}
 
-    def _refined(self, found: GroupedCover) -> GroupedCover | None:
+    def _refined(self, cover: GroupedCover) -> GroupedCover | None:
         """Return the cover by fewer views, some of them refined; None if there is none."""
         rows = list(self.setups)
         setups = {row: setup for row, setup in self.setups.items() if isinstance(setup, PlannedSetup)}
@@ -322,17 +324,17 @@ class SetupSearch:
         )
         if not (self._request.allows_refinement and self._request.is_evaluated and is_movable):
             return None
-        goal = float(found.loads.wanted[0])
-        setups, self._M, views = search_setups(self._session, self._surface, setups, self._M, self._views(found), goal)
+        goal = float(cover.loads.target_weight[0])
+        setups, self._M, views = search_setups(self._session, self._surface, setups, self._M, self._views(cover), goal)
         self.setups |= setups
-        if sum(map(len, views.values())) == found.n_views:
+        if sum(map(len, views.values())) == cover.n_views:
             return None
         for row, setup in setups.items():
             more = setup.measured.reached.reachable[len(self._usable[row]) :]
             self._usable[row] = np.concatenate([self._usable[row], more])
-        return replace(found, views={rows.index(row): columns for row, columns in views.items()})
+        return replace(cover, views={rows.index(row): columns for row, columns in views.items()})
 
-    def _with_shared_surface(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
+    def _with_shared_surface(self, cover: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
         """Add views until the shared surface fixes the scans of all set-ups relative to each other."""
         rows = list(self.setups)
         limit, seconds = self._request.request.plan.max_views, self._request.seconds
@@ -340,14 +342,14 @@ class SetupSearch:
             row: mask if isinstance(self.setups[row], PlannedSetup) else np.zeros_like(mask)
             for row, mask in self._usable.items()
         }
-        for _ in range(_MAX_COVERS if limit is None else limit - found.n_views):
-            if (more := connecting_view(self._M, usable, self._views(found))) is None:
+        for _ in range(_MAX_COVERS if limit is None else limit - cover.n_views):
+            if (more := connecting_view(self._M, usable, self._views(cover))) is None:
                 break
             row, column = more
-            larger = found.with_view(rows.index(row), column, float(seconds[row][column]) if seconds else 0.0)
+            larger = cover.with_view(rows.index(row), column, float(seconds[row][column]) if seconds else 0.0)
             plans = self._connect(larger)  # None: the candidate is no longer usable, and another is tried
             if plans is not None:
-                found, connected = larger, plans
+                cover, connected = larger, plans
         for row, setup in connected.items():
             plan = None if setup.planned is None else setup.planned[1]
             if self._request.request.plan.overlap_in_order and plan is not None and plan.selection.details is None:
@@ -355,12 +357,12 @@ class SetupSearch:
                     f"the views of set-up candidate {row} are connected through other set-ups alone: they are visited "
                     "in the fastest order"
                 )
-        return found, connected
+        return cover, connected
 
-    def _connect(self, found: GroupedCover) -> Connected | None:
+    def _connect(self, cover: GroupedCover) -> Connected | None:
         """Plan the set-ups of a cover; None if a view cannot be connected, or arms hide too much."""
         try:
-            connected = {row: self._plan(row, views) for row, views in self._views(found).items()}
+            connected = {row: self._plan(row, views) for row, views in self._views(cover).items()}
         except PinnedViewError:
             return None  # the candidate is no longer usable
         self._M |= {row: setup.matrix for row, setup in connected.items()}
@@ -368,18 +370,18 @@ class SetupSearch:
             self._request.loads_of(row, setup.matrix)[:, setup.candidate].sum(axis=1)
             for row, setup in connected.items()
         )
-        return connected if found.is_met_by(np.asarray(sums).ravel()) else None
+        return connected if cover.is_met_by(np.asarray(sums).ravel()) else None
 
-    def _poses(self, found: GroupedCover) -> Poses:
+    def _poses(self, cover: GroupedCover) -> Poses:
         """Return the poses of the candidates of a cover."""
         return {
             row: self.setups[row].measured.candidates.T_object_scanner[views]
-            for row, views in self._views(found).items()
+            for row, views in self._views(cover).items()
         }
 
-    def _request_more(self, found: GroupedCover, poses: Poses) -> bool:
+    def _request_more(self, cover: GroupedCover, poses: Poses) -> bool:
         """If views miss the coverage, add rows or raise a target; return whether the next cover can be better."""
-        deficit = self._deficit(found, poses)
+        deficit = self._deficit(cover, poses)
         if (deficit <= 0).all():
             return False
         self._rounds += 1
@@ -390,7 +392,7 @@ class SetupSearch:
         self._targets = np.where(deficit > 0, np.minimum(self._targets + deficit + _RAISE_STEP, 1.0), self._targets)
         return True
 
-    def _deficit(self, found: GroupedCover, poses: Poses) -> Floats:
+    def _deficit(self, cover: GroupedCover, poses: Poses) -> Floats:
         """Return the (P,) missing shares of the coverable held-out samples, for targets below 1.
 
         Coverable by all set-ups; by the used ones if the allowed number of set-ups is too small.
@@ -399,7 +401,7 @@ class SetupSearch:
         if not self._request.is_evaluated:
             return np.zeros(len(requested))
         seen = np.logical_or.reduce([self.setups[row].visible(T) for row, T in poses.items()])
-        counted = self.setups if found.is_feasible else poses
+        counted = self.setups if cover.is_feasible else poses
         coverable = np.logical_or.reduce([self.setups[row].coverable for row in counted]) | seen
         shares = self._request.shares(self._samples, seen, coverable)
         return np.where(requested < 1, requested - shares, 0.0)
@@ -505,35 +507,35 @@ def search_setups(
         places.append(Place(table, setups[row].are_reachable))
     pool = join_poses(pools)
 
-    def poses_in(found: SearchPoses, place: int) -> Floats:
-        return np.asarray(found.T_object_scanner[found.place == place][:, None])
+    def poses_in(poses: SearchPoses, place: int) -> Floats:
+        return np.asarray(poses.T_object_scanner[poses.place == place][:, None])
 
-    def share_of(found: SearchPoses) -> float:
-        seen = np.logical_or.reduce([setups[row].visible(poses_in(found, place)) for place, row in enumerate(used)])
+    def share_of(poses: SearchPoses) -> float:
+        seen = np.logical_or.reduce([setups[row].visible(poses_in(poses, place)) for place, row in enumerate(used)])
         return float(seen.sum() / (coverable | seen).sum())
 
-    def area_of(found: SearchPoses) -> float:
-        seen = [setups[row].measures(poses_in(found, place), rows) for place, row in enumerate(used)]
+    def area_of(poses: SearchPoses) -> float:
+        seen = [setups[row].measures(poses_in(poses, place), rows) for place, row in enumerate(used)]
         return float(rows.areas[np.logical_or.reduce(seen)].sum())
 
     begin = pool.pick(np.concatenate(initial))
     least = max(min(request.plan.coverage + REFINED_MARGIN, 1.0), share_of(begin))
     goal = min(goal, area_of(begin))
 
-    def shortfall(found: SearchPoses) -> float:
-        missing = least - share_of(found)
-        return missing if missing > 0 else max(missing, (goal - area_of(found)) / rows.areas.sum())
+    def shortfall(poses: SearchPoses) -> float:
+        missing = least - share_of(poses)
+        return missing if missing > 0 else max(missing, (goal - area_of(poses)) / rows.areas.sum())
 
-    found = search_poses(
+    best = search_poses(
         np.concatenate(initial), pool, places, weights / weights.sum(), shortfall=shortfall, effort=effort, rng=rng
     ).found[-1]
-    if len(found) == n_views:
+    if len(best) == n_views:
         return known, matrices, left
     for place, row in enumerate(used):
-        own, candidates = found.pick(found.place == place), setups[row].measured.candidates
-        more = moved_viewpoints(own, candidates.face)
+        poses, candidates = best.pick(best.place == place), setups[row].measured.candidates
+        more = moved_viewpoints(poses, candidates.face)
         if len(more):
             known[row] = setups[row].with_viewpoints(session, surface, M[row], more)
             matrices[row] = known[row].measured.M
-        left[row] = np.concatenate([own.origin[~own.moved], len(candidates) + np.arange(len(more))])
+        left[row] = np.concatenate([poses.origin[~poses.moved], len(candidates) + np.arange(len(more))])
     return known, matrices, {row: columns for row, columns in left.items() if len(columns)}

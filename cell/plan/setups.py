@@ -85,11 +85,11 @@ def scene_after(first: Run, options: Mapping[str, object], spell: Spell = str) -
     for key in names:
         if not key.startswith(("plan.", "placement.")):
             raise UsageError(f"{names[key]} changes the cell of {first.folder}; give part and options, or a scene file")
-    scene, given = scene_of_run(first), load_scene(None, tables, names)
-    plan = {"pinned": (), "banned": ()} | {key: getattr(given.plan, key) for key in tables.get("plan", {})}
+    scene, overrides = scene_of_run(first), load_scene(None, tables, names)
+    plan = {"pinned": (), "banned": ()} | {key: getattr(overrides.plan, key) for key in tables.get("plan", {})}
     if "coverage" in plan:
         plan["max_views"] = None
-    placement = given.placement if "placement" in tables else scene.placement
+    placement = overrides.placement if "placement" in tables else scene.placement
     scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=plan), "placement": placement})
     return scene if first.scene.table is None else with_table_at(scene, first.scene.table.T_base_table)
 
@@ -98,30 +98,32 @@ def _plan_setups(
     outer: Session[None], session: PlanSession, settled: SettledScene, options: SetupOptions, first: Run | None
 ) -> Verdict:
     """Plan all set-ups into the open folder."""
-    surface, candidates, tried = try_candidates(session, settled, options.proposals, first)
-    setups = {row: found for row, found in enumerate(tried) if isinstance(found, Setup)}
+    surface, candidates, outcomes = try_candidates(session, settled, options.proposals, first)
+    setups = {row: outcome for row, outcome in enumerate(outcomes) if isinstance(outcome, Setup)}
     if not any(len(setup.measured.M.indices) for setup in setups.values()):
-        reason = next((found for found in tried if isinstance(found, str)), "no candidate measures anything")
+        reason = next((outcome for outcome in outcomes if isinstance(outcome, str)), "no candidate measures anything")
         raise UnreachableError(
             f"none of the {len(candidates)} set-up candidates can be planned ({reason}); move the part"
         )
-    _require_candidates(options, tried)
+    _require_candidates(options, outcomes)
     with session.stage("select and connect"):
         request = SetupsRequest.of(session, settled.scene, options)
         search = SetupSearch(session, surface, setups, request)
-        found, connected = search.solve()
-        alternative = search.fewest_views(found)
+        cover, connected = search.solve()
+        alternative = search.fewest_views(cover)
         setups = search.setups
     visible = {row: setups[row].visible(setup.T_object_poses) for row, setup in connected.items()}
     seen = np.logical_or.reduce(list(visible.values()))
     for row, each in enumerate(candidates):
         if each.table is not None and row not in connected:
-            session.note(f"the set-up '{each.name}' is omitted: {cause_of_omission(setups.get(row, tried[row]), seen)}")
+            session.note(
+                f"the set-up '{each.name}' is omitted: {cause_of_omission(setups.get(row, outcomes[row]), seen)}"
+            )
     order = sorted(visible, key=lambda row: (candidates[row].run is None, -int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
-        _write_setup(outer, session, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
+        _write_setup(outer, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
     used = [(row, visible[row]) for row in order]
-    file = _setups_file(session, settled, request, setups, found, candidates, tried, used)
+    file = _setups_file(session, settled, request, setups, cover, candidates, outcomes, used)
     views_first = None if alternative is None else ViewsFirst(setups=alternative[0], views=alternative[1])
     file = file.model_copy(update={"alternative": views_first})
     if settled.scene.plan.curve:
@@ -166,42 +168,41 @@ def _predicted_section(
 
 def _regions_without_samples(settled: SettledScene, reference: TriangleMesh, samples: SurfaceSamples) -> list[str]:
     """Return a sentence for each region with an area in which no held-out sample lies."""
-    found = []
+    sentences = []
     for number, region in enumerate(with_rest(settled.scene.region)):
         area_mm2 = 1e6 * float(reference.areas[reference.region == number].sum())
         if region.is_measured and area_mm2 and not np.any(samples.region == number):
-            found.append(f"the region '{region.name}' cannot be measured: {no_samples(area_mm2, len(samples))}")
-    return found
+            sentences.append(f"the region '{region.name}' cannot be measured: {no_samples(area_mm2, len(samples))}")
+    return sentences
 
 
-def _require_candidates(options: SetupOptions, tried: Sequence[Setup | str]) -> None:
+def _require_candidates(options: SetupOptions, outcomes: Sequence[Setup | str]) -> None:
     """Refuse pinned and banned candidates that do not exist, and pinned ones that are not reachable."""
     for setup, number in (*options.pins, *options.bans):
-        name, found = format_candidate((setup, number)), tried[setup] if setup < len(tried) else ""
-        if setup >= len(tried):
-            raise UsageError(f"candidate {name}: there are {len(tried)} set-up candidates, 0 to {len(tried) - 1}")
-        if not isinstance(found, Setup):
-            raise UsageError(f"candidate {name}: set-up {setup} is not possible ({found}); name another")
-        if number >= len(reachable := found.measured.reached.reachable):
+        name, outcome = format_candidate((setup, number)), outcomes[setup] if setup < len(outcomes) else ""
+        if setup >= len(outcomes):
+            raise UsageError(f"candidate {name}: there are {len(outcomes)} set-up candidates, 0 to {len(outcomes) - 1}")
+        if not isinstance(outcome, Setup):
+            raise UsageError(f"candidate {name}: set-up {setup} is not possible ({outcome}); name another")
+        if number >= len(reachable := outcome.measured.reached.reachable):
             raise UsageError(f"candidate {name}: set-up {setup} has candidates 0 to {len(reachable) - 1}")
         if (setup, number) in options.pins and not reachable[number]:
             raise UsageError(f"candidate {name} is pinned, and the arm does not reach it; pin another")
 
 
-def cause_of_omission(found: Setup | str, seen: Bools) -> str:
+def cause_of_omission(outcome: Setup | str, seen: Bools) -> str:
     """Explain why a set-up is not used, given the (S,) held-out samples that the others measure."""
-    if isinstance(found, str):
-        return found
-    more = float((found.coverable & ~seen).mean())
+    if isinstance(outcome, str):
+        return outcome
+    more = float((outcome.coverable & ~seen).mean())
     if not more:
         return "it measures nothing that the others do not measure"
     return f"the request is met without it (it can add {percent(more)} of the surface)"
 
 
 def _write_setup(
-    outer: Session[None], session: PlanSession, surface: PartSurface, setup: Setup, connected: ConnectedSetup,
-    folder: Path,
-) -> None:  # fmt: skip
+    outer: Session[None], surface: PartSurface, setup: Setup, connected: ConnectedSetup, folder: Path
+) -> None:
     """Write the run folder of one set-up; copy that of a fixed one with its executions."""
     if isinstance(setup, FixedSetup):
         shutil.copytree(setup.run.folder, folder)
@@ -226,15 +227,15 @@ def _write_setup(
 
 def _setups_file(
     session: PlanSession, settled: SettledScene, request: SetupsRequest, setups: Mapping[int, Setup],
-    found: GroupedCover, candidates: Sequence[SetupCandidate], tried: Sequence[Setup | str],
+    cover: GroupedCover, candidates: Sequence[SetupCandidate], outcomes: Sequence[Setup | str],
     used: Sequence[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
-    chosen, seen = [], np.zeros_like(used[0][1])
+    selected_setups, seen = [], np.zeros_like(used[0][1])
     for number, (row, visible) in enumerate(used, start=1):
         run = Run.open_finished(session.folder.path / "setups" / str(number))
         marginal = float((visible & ~seen).mean())
         seen = seen | visible
-        chosen.append(
+        selected_setups.append(
             SelectedSetup(
                 folder=f"setups/{number}",
                 digest=run.digest,
@@ -256,16 +257,16 @@ def _setups_file(
             target=settled.scene.plan.coverage,
             required=settled.scene.plan.required_visible,
         ),
-        status=status(found, len(candidates), request.request.targets),
-        setups_bound=found.group_bound,
-        views=sum(each.views for each in chosen),
-        views_bound=found.view_bound,
-        seconds=None if found.cost_and_bound is None else found.cost_and_bound[0],
-        seconds_bound=None if found.cost_and_bound is None else found.cost_and_bound[1],
-        satisfied_share=None if request.needs_one_view else found.share,
+        status=status(cover, len(candidates), request.request.targets),
+        setups_bound=cover.group_bound,
+        views=sum(each.views for each in selected_setups),
+        views_bound=cover.view_bound,
+        seconds=None if cover.cost_and_bound is None else cover.cost_and_bound[0],
+        seconds_bound=None if cover.cost_and_bound is None else cover.cost_and_bound[1],
+        satisfied_share=None if request.needs_one_view else cover.share,
         regions=tuple(_regions(settled.scene, samples, seen, coverable)),
-        selected=tuple(chosen),
-        candidates=tuple(_candidate_setup(*each) for each in zip(candidates, tried, strict=True)),
+        selected=tuple(selected_setups),
+        candidates=tuple(_candidate_setup(*each) for each in zip(candidates, outcomes, strict=True)),
         common_surface=shared_surfaces({number: visible for number, (_, visible) in enumerate(used, start=1)}, samples),
         uncovered=uncovered_surface(session, setups, [row for row, _ in used], seen),
     )
@@ -273,29 +274,29 @@ def _setups_file(
 
 def _regions(scene: Scene, samples: SurfaceSamples, seen: Bools, coverable: Bools) -> Iterator[SetupsRegion]:
     """Yield the coverage of each region that counts."""
-    for number, wishes in enumerate(with_rest(scene.region)):
-        own = samples.region == number
-        if wishes.is_measured and np.any(own):
-            visible, share = float(seen[own].mean()), float(coverable[own].mean())
+    for number, region in enumerate(with_rest(scene.region)):
+        is_inside = samples.region == number
+        if region.is_measured and np.any(is_inside):
+            visible, share = float(seen[is_inside].mean()), float(coverable[is_inside].mean())
             yield SetupsRegion(
-                name=wishes.name,
-                target=scene.plan.coverage if wishes.coverage is None else wishes.coverage,
+                name=region.name,
+                target=scene.plan.coverage if region.coverage is None else region.coverage,
                 visible=visible,
                 coverable=share,
                 visible_of_coverable=visible / share if share else 1.0,
             )
 
 
-def _candidate_setup(candidate: SetupCandidate, found: Setup | str) -> CandidateSetup:
-    is_possible = isinstance(found, Setup)
+def _candidate_setup(candidate: SetupCandidate, outcome: Setup | str) -> CandidateSetup:
+    is_possible = isinstance(outcome, Setup)
     return CandidateSetup(
         name=candidate.name,
         placement_mm=candidate.placement.position_mm,
         placement_abc_deg=candidate.placement.abc_deg,
-        reachable=int(found.measured.reached.reachable.sum()) if isinstance(found, Setup) else 0,
-        coverable=float(found.coverable.mean()) if isinstance(found, Setup) else 0.0,
-        in_contact=float(found.contact.mean()) if isinstance(found, Setup) else 0.0,
-        cause="" if is_possible else str(found),
+        reachable=int(outcome.measured.reached.reachable.sum()) if isinstance(outcome, Setup) else 0,
+        coverable=float(outcome.coverable.mean()) if isinstance(outcome, Setup) else 0.0,
+        in_contact=float(outcome.contact.mean()) if isinstance(outcome, Setup) else 0.0,
+        cause="" if is_possible else str(outcome),
     )
 
 
@@ -315,22 +316,22 @@ def uncovered_surface(
     samples = setups[used[0]].measured.prediction.samples
     has_candidate = ~seen & np.logical_or.reduce([setup.coverable for setup in setups.values()])
     contact = ~seen & ~has_candidate & np.logical_and.reduce([setups[row].contact for row in used])
-    rest = np.flatnonzero(~seen & ~has_candidate & ~contact)
+    uncovered_rows = np.flatnonzero(~seen & ~has_candidate & ~contact)
     rng = session.rng(Stream.ATTAINABLE_SAMPLES)
-    some = np.sort(rng.permutation(rest)[: session.effort.searched_samples])
-    measured, visible = np.zeros(len(some), dtype=np.bool_), np.zeros(len(some), dtype=np.bool_)
+    rows = np.sort(rng.permutation(uncovered_rows)[: session.effort.searched_samples])
+    measured, visible = np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
     for row in used:
         if not isinstance(setup := setups[row], PlannedSetup):
             continue
-        free = np.flatnonzero(~setup.contact[some] & ~measured)
-        searched = pick_samples(samples, some[free])
+        free = np.flatnonzero(~setup.contact[rows] & ~measured)
+        searched = pick_samples(samples, rows[free])
         targets = RayTargets.of(searched.points, searched.normals, searched.region)
-        found = probe_attainable(targets, setup.evaluator(searched))
-        measured[free] |= found.measured
-        visible[free] |= found.visible
-    left = len(rest) / len(samples)  # samples stand for equal areas
+        probe = probe_attainable(targets, setup.evaluator(searched))
+        measured[free] |= probe.measured
+        visible[free] |= probe.visible
+    left = len(uncovered_rows) / len(samples)  # samples stand for equal areas
     out_of_reach, other_poses, out_of_sight = (
-        estimated_share(hits, len(rest)) for hits in (visible & ~measured, measured, ~visible)
+        estimated_share(hits, len(uncovered_rows)) for hits in (visible & ~measured, measured, ~visible)
     )
     return UncoveredShares(
         not_selected=float(has_candidate.mean()),

@@ -93,8 +93,8 @@ def _crossings(ends: Floats, radius: float) -> Floats:
     root = b**2 - a * c
     start, along, a, b, root = (each[(root >= 0) & (a > 0)] for each in (start, along, a, b, root))
     share = (-b + np.array([[1.0], [-1.0]]) * np.sqrt(root)) / a
-    found: Floats = (start + share[..., None] * along)[(share >= 0) & (share <= 1)]
-    return found
+    points: Floats = (start + share[..., None] * along)[(share >= 0) & (share <= 1)]
+    return points
 
 
 def _rim(triangles: Floats, radius: float) -> Floats:

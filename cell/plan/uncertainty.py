@@ -85,13 +85,12 @@ def add_views_for_uncertainty(
     status = CoverStatus.PROVEN if bound == len(selection.cover.views) else CoverStatus.BOUNDED
     cover = replace(selection.cover, lower_bound=bound, status=status)
     selection = replace(selection, cover=cover, sentence=cover.sentence, cost_bound=before.cost_bound)
-    return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
+    return problem, selection, tuple(_causes(predicted, times, association, demand))
 
 
 def _causes(
-    plan: InspectionPlan, predicted: Sequence[Measurement], times: Sequence[float], association: Association,
-    demand: Ints,
-) -> Iterator[str]:  # fmt: skip
+    predicted: Sequence[Measurement], times: Sequence[float], association: Association, demand: Ints
+) -> Iterator[str]:
     """Yield a sentence for each characteristic whose requirement is not met."""
     for each, factor in zip(predicted, times, strict=True):
         name = each.characteristic.name
@@ -102,7 +101,7 @@ def _causes(
             )
         elif factor > 1:
             surfaces = association.surfaces[each.characteristic.feature]
-            views = int(max(demand[own.triangles].max() for own in surfaces))
+            views = int(max(demand[element.triangles].max() for element in surfaces))
             yield f"{name}: the requirement is not met with {views} views of each sample, or all that can measure it"
 
 
@@ -124,9 +123,9 @@ def _raise_demand(
     """Raise the demand (F,) of the triangles of the features of a characteristic."""
     for feature in plan.features_of(predicted.characteristic):
         surfaces = association.surfaces[feature.name]
-        for patch, own in zip(features[feature.name].patches, surfaces, strict=True):
+        for patch, element in zip(features[feature.name].patches, surfaces, strict=True):
             views = 2 if times == MISSED else int(np.ceil(times * max(patch.mean_views, 1.0)))
-            demand[own.triangles] = np.maximum(demand[own.triangles], views)
+            demand[element.triangles] = np.maximum(demand[element.triangles], views)
 
 
 def _with_rows(
@@ -134,9 +133,9 @@ def _with_rows(
 ) -> SelectionProblem:
     """Return the problem with fresh samples on some triangles of the reference as rows."""
     pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
-    own = np.flatnonzero(np.isin(pool.face, faces))
-    own = own[:: 1 + len(own) // _ROWS]
-    if not len(own):
+    pool_rows = np.flatnonzero(np.isin(pool.face, faces))
+    pool_rows = pool_rows[:: 1 + len(pool_rows) // _ROWS]
+    if not len(pool_rows):
         return problem
-    rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, own))
+    rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, pool_rows))
     return replace(problem, M=append_rows(problem.M, rows, problem.prediction.samples))

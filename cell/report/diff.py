@@ -230,8 +230,8 @@ def _views(A: Side, B: Side, by_view: Sequence[Bools] | None, areas: Floats) -> 
     """Return kept, moved, lost and new views; without `by_view` (different parts) none counts as moved."""
     distance, angle = _pose_distances(A.poses, B.poses)
     near = (distance <= SAME_MM) & (angle <= SAME_DEG)
-    kept = _pairs(np.where(near, distance / SAME_MM, _NO_MATCH))
-    moved: list[tuple[int, int]] = []
+    equal = _pairs(np.where(near, distance / SAME_MM, _NO_MATCH))
+    similar: list[tuple[int, int]] = []
     shared = np.zeros_like(distance)
     if by_view is not None:
         a, b = (each.astype(np.float64) for each in by_view)
@@ -239,22 +239,22 @@ def _views(A: Side, B: Side, by_view: Sequence[Bools] | None, areas: Floats) -> 
         either = (areas @ a)[:, None] + (areas @ b)[None] - both
         shared = np.divide(both, either, out=shared, where=either > 0)
         cost = np.where(shared >= MOSTLY, 1 - shared, _NO_MATCH)
-        cost[[i for i, _ in kept], :] = _NO_MATCH
-        cost[:, [j for _, j in kept]] = _NO_MATCH
-        moved = _pairs(cost)
-    gone = [i for i in range(len(A.number)) if i not in {i for i, _ in (*kept, *moved)}]
-    added = [j for j in range(len(B.number)) if j not in {j for _, j in (*kept, *moved)}]
+        cost[[i for i, _ in equal], :] = _NO_MATCH
+        cost[:, [j for _, j in equal]] = _NO_MATCH
+        similar = _pairs(cost)
+    only_a = [i for i in range(len(A.number)) if i not in {i for i, _ in (*equal, *similar)}]
+    only_b = [j for j in range(len(B.number)) if j not in {j for _, j in (*equal, *similar)}]
     return ViewDifference(
-        equal=tuple((int(A.number[i]), int(B.number[j])) for i, j in kept),
+        equal=tuple((int(A.number[i]), int(B.number[j])) for i, j in equal),
         similar=tuple(
             SimilarView(
                 a=int(A.number[i]), b=int(B.number[j]), distance_mm=round(float(distance[i, j]), 3),
                 angle_deg=round(float(angle[i, j]), 3), intersection_over_union=round(float(shared[i, j]), 4),
             )
-            for i, j in moved
+            for i, j in similar
         ),
-        only_a=tuple(int(A.number[i]) for i in gone),
-        only_b=tuple(int(B.number[j]) for j in added),
+        only_a=tuple(int(A.number[i]) for i in only_a),
+        only_b=tuple(int(B.number[j]) for j in only_b),
     )  # fmt: skip
 
 
@@ -317,14 +317,14 @@ def _figures(side: Side) -> dict[str, float | None]:
             "smallest clearance mm": report.motion.minimum_clearance_mm,
             **{f"region {each.name} visible %": 100 * each.visible for each in report.regions or ()},
         }
-    done = side.execution.report
+    execution = side.execution.report
     return {
-        "scans": done.n_views,
-        "points": done.n_points,
-        "visible %": 100 * done.coverage.visible,
-        "sampled %": 100 * done.coverage.sampled,
-        "deviation rms mm": None if done.deviation is None else done.deviation.rms_mm,
-        "motion s": done.motion.executed_s,
+        "scans": execution.n_views,
+        "points": execution.n_points,
+        "visible %": 100 * execution.coverage.visible,
+        "sampled %": 100 * execution.coverage.sampled,
+        "deviation rms mm": None if execution.deviation is None else execution.deviation.rms_mm,
+        "motion s": execution.motion.executed_s,
     }
 
 
@@ -372,12 +372,12 @@ def difference_page(
 
 def _matched_views(views: Sequence[PageView], difference: Difference) -> list[PageView]:
     """Return B's views, each with its matching view of A."""
-    kept = {str(b): (f"view {a}, same pose", MEASURED) for a, b in difference.views.equal}
-    moved = {
+    equal = {str(b): (f"view {a}, same pose", MEASURED) for a, b in difference.views.equal}
+    similar = {
         str(each.b): (f"view {each.a}, moved by {each.distance_mm:.1f} mm and {each.angle_deg:.1f} deg", GREEN)
         for each in difference.views.similar
     }
-    matches = {**kept, **moved}
+    matches = {**equal, **similar}
     matched = []
     for view in views:
         match, colour = matches.get(view.number, ("new", BLUE))
@@ -398,8 +398,8 @@ def _with_folder(contents: PageContents, B: Side) -> PageContents:
     """Return the page with commands that name the run folder, since the page is outside of it."""
     folder = shlex.quote(str(B.run.folder))
 
-    def named(commands: Sequence[str]) -> list[str]:
+    def with_folder(commands: Sequence[str]) -> list[str]:
         return [each.replace("EXECUTION", B.folder.name).replace("RUN", folder) for each in commands]
 
-    views = [replace(view, commands=named(view.commands)) for view in contents.views]
-    return replace(contents, views=views, next_commands=named(contents.next_commands))
+    views = [replace(view, commands=with_folder(view.commands)) for view in contents.views]
+    return replace(contents, views=views, next_commands=with_folder(contents.next_commands))

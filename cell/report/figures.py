@@ -65,7 +65,7 @@ def reach_map(
     T_base_scanner: Floats,
     verdict: NDArray[np.uint8],
     part_corners: Floats,
-    chosen: NDArray[np.int64],
+    views: NDArray[np.int64],
     envelope: Floats,
 ) -> None:
     """Plot the candidates from above and from the side, coloured by verdict, with part, robot and envelope.
@@ -75,7 +75,7 @@ def reach_map(
         T_base_scanner: (V, 4, 4) candidates in the base frame [m].
         verdict: (V,) `Verdict` values.
         part_corners: (8, 3) corners of the part's bounding box in base [m].
-        chosen: (n,) indices of the views of the plan.
+        views: (n,) indices of the views of the plan.
         envelope: (E, 2) places that the wrist centre reaches in the plane of the arm, radius and height [m].
     """
     figure = _figure(12.0, 5.6, left=0.7, bottom=0.55, top=0.3)
@@ -91,7 +91,7 @@ def reach_map(
                     places[here, a], places[here, b], s=7, lw=0, color=_VERDICT_COLOURS[kind],
                     label=f"{kind.name.lower().replace('_', ' ')} ({here.sum()})",
                 )  # fmt: skip
-        axes.scatter(places[chosen, a], places[chosen, b], s=46, facecolors="none", edgecolors="k", label="chosen")
+        axes.scatter(places[views, a], places[views, b], s=46, facecolors="none", edgecolors="k", label="chosen")
         low, high = corners[:, (a, b)].min(axis=0), corners[:, (a, b)].max(axis=0)
         axes.fill([low[0], high[0], high[0], low[0]], [low[1], low[1], high[1], high[1]], color="#999999", alpha=0.6)
         if labels == "xy":
@@ -250,9 +250,9 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
     canvas, (scene, cell, scanner) = _part(path.parent), _cell(path.parent)
     surface = measure_samples(canvas.samples, T_object_poses, scanner, (), seen)
     pictures.draw_part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
-    shown = part_surface(canvas, surface, regions=scene.regions)
+    page_surface = part_surface(canvas, surface, regions=scene.regions)
     counted = with_ignored_faces(cell, canvas.mesh, canvas.ignored)
-    stage = PageScene(f"View plan of {scene.part.name}", counted, [shown], opens_on=VIEWS_LAYER)
+    stage = PageScene(f"View plan of {scene.part.name}", counted, [page_surface], opens_on=VIEWS_LAYER)
     (path.parent / PARTIAL_PAGE_FILE).write_text(first_half(stage), encoding="utf-8")
 
 
@@ -279,7 +279,7 @@ def cell_with_arm(
     q_shown = q[best_view(cell, part, T_base_scanner)]
     hidden = {piece.name for piece in cell.pieces} & set(hide)
     camera = (float(camera_deg[0]), float(camera_deg[1])) if len(camera_deg) else None
-    drawn, _ = draw_cell(
+    image, _ = draw_cell(
         cell, part, q_shown, views=T_base_scanner, path=source_path, size=_STILL, camera=camera, hide=hidden
     )
-    rays.save_png(drawn, path)
+    rays.save_png(image, path)

@@ -98,9 +98,9 @@ def table(report: Report) -> Rows:
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]
     if report.exclusions:
-        named = "; ".join(f"candidate {view.id}: {view.cause}" for view in report.exclusions[:_N_DROPPED])
+        causes = "; ".join(f"candidate {view.id}: {view.cause}" for view in report.exclusions[:_N_DROPPED])
         more = len(report.exclusions) - _N_DROPPED
-        rows.append(("dropped", named + (f"; and {more} more, see report.md" if more > 0 else "")))
+        rows.append(("dropped", causes + (f"; and {more} more, see report.md" if more > 0 else "")))
     took = (
         f"{motion.duration_s:.1f} s from home to home through {motion.via_points} points"
         + (f", {motion.duration_s / bound:.3f} x the time-optimal bound without jerk limit" if bound else "")
@@ -138,14 +138,14 @@ def attainable_sentence(visible: float, coverable: float, attainable: Attainable
 
 
 def _spacing_row(report: Report) -> Rows:
-    if (found := report.spacing) is None:
+    if (spacing := report.spacing) is None:
         return []
-    limit = "" if found.limit_mm is None else f", limit {found.limit_mm:g} mm"
+    limit = "" if spacing.limit_mm is None else f", limit {spacing.limit_mm:g} mm"
     return [
         (
             "spacing of points",
-            f"at most {found.quantile_99_mm:.3g} mm on 99 % of the measured surface, at most {found.median_mm:.3g} mm "
-            f"on half of it{limit}",
+            f"at most {spacing.quantile_99_mm:.3g} mm on 99 % of the measured surface, at most {spacing.median_mm:.3g} "
+            f"mm on half of it{limit}",
         )
     ]
 
@@ -259,9 +259,9 @@ def tightest_moment(clearance: Clearance) -> str:
 
 def _option_rows(report: Report) -> Rows:
     """Return a row for each result of an option beyond the fewest views."""
-    found: Rows = []
+    rows: Rows = []
     if most := report.max_coverage:
-        found.append(
+        rows.append(
             (
                 f"at most {most.max_views} views",
                 f"they cover {percent(most.coverage)} of the surface's samples; no selection of {most.max_views} views "
@@ -270,7 +270,7 @@ def _option_rows(report: Report) -> Rows:
         )
     if several := report.multiplicity:
         fewer = several.samples_with_fewer_candidates
-        found.append(
+        rows.append(
             (
                 "views per sample",
                 f"{several.views_per_sample}"
@@ -278,7 +278,7 @@ def _option_rows(report: Report) -> Rows:
             )
         )
     if cost := report.cost:
-        found.append(
+        rows.append(
             (
                 "time of views and motion",
                 f"{cost.seconds:.1f} s (scan and settling at each view, and the motion); no selection takes less than "
@@ -286,12 +286,12 @@ def _option_rows(report: Report) -> Rows:
             )
         )
     if report.overlap:
-        found.append(("overlap", _overlap(report, report.overlap)))
+        rows.append(("overlap", _overlap(report, report.overlap)))
     if report.robust:
-        found += _robust_rows(report.robust)
+        rows += _robust_rows(report.robust)
     if before := report.further_setup:  # of a plan for the surface that earlier plans left uncovered
         contact = f"; {percent(before.in_contact)} that was uncovered is in contact here" if before.in_contact else ""
-        found.append(
+        rows.append(
             (
                 "all set-ups",
                 f"{percent(before.visible_together)} of the surface, {percent(before.visible_before)} before this one; "
@@ -299,7 +299,7 @@ def _option_rows(report: Report) -> Rows:
                 f"measure{contact}",
             )
         )
-    return found
+    return rows
 
 
 def _overlap(report: Report, overlap: Overlap) -> str:

@@ -83,8 +83,8 @@ def table(report: ExecutionReport) -> list[tuple[str, str]]:
             f"points to reference {cloud.rms_to_reference_as_reported_mm:.4f} mm rms as reported, "
             f"{cloud.rms_to_reference_mm:.4f} mm registered"
         )
-        kept = not_registered(report)
-        rows += [("registration", residuals), *([("", kept)] if kept else [])]
+        sentence = not_registered(report)
+        rows += [("registration", residuals), *([("", sentence)] if sentence else [])]
     took = "" if motion.executed_s is None else f", {motion.executed_s:.1f} s by the controller"
     surface = _surface_row(report.surface.status, report.surface.faces, report.deviation)
     return [*rows, ("surface", surface), ("motion", f"{motion.planned_s:.1f} s planned{took}")]
@@ -119,8 +119,8 @@ def _opening(report: ExecutionReport) -> str:
         text += f" ({deviation.edge_note})." if deviation.edge_note else "."
     else:
         text += f" No surface: {report.surface.status}."
-    kept = not_registered(report)
-    return f"{text} {kept[:1].upper()}{kept[1:]}." if kept else text
+    sentence = not_registered(report)
+    return f"{text} {sentence[:1].upper()}{sentence[1:]}." if sentence else text
 
 
 def not_registered(report: ExecutionReport) -> str:

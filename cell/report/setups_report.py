@@ -19,33 +19,33 @@ _CAUSES = {
 }
 
 
-def status(found: GroupedCover, offered: int, requested: Floats) -> str:
+def status(cover: GroupedCover, offered: int, requested: Floats) -> str:
     """Describe the bounds on both numbers, for these candidates and samples.
 
     Args:
-        found: the cover.
+        cover: of all set-ups.
         offered: number of set-up candidates.
         requested: (P,) share of the coverable samples of each group of regions.
     """
-    setups, setups_bound, views, views_bound = len(found.views), found.group_bound, found.n_views, found.view_bound
+    setups, setups_bound, views, views_bound = len(cover.views), cover.group_bound, cover.n_views, cover.view_bound
     fewest = (
         f"proven fewest of {offered} set-up candidates"
         if setups <= setups_bound
         else f"{setups} set-ups, at least {setups_bound} of {offered} candidates are needed"
     )
-    if not found.is_feasible:
+    if not cover.is_feasible:
         fewest = f"{setups} of {offered} set-up candidates, too few for the request"
-    if found.upper_area is not None:
-        points = 100 * (found.upper_area - found.covered_area) / max(found.upper_area, 1e-300)
+    if cover.upper_area is not None:
+        points = 100 * (cover.upper_area - cover.covered_area) / max(cover.upper_area, 1e-300)
         if points <= 0:
             return f"{fewest}; proven maximum coverage for {views} views of the candidates in {setups} set-ups"
         return f"{fewest}; {views} views in {setups} set-ups cannot exceed this by more than {max(points, 0.01):.2f} %"
-    if found.cost_and_bound is not None:
-        paid, least = found.cost_and_bound
-        in_all = "with the costs of set-ups" if found.has_group_costs else f"in {setups} set-ups"
+    if cover.cost_and_bound is not None:
+        paid, least = cover.cost_and_bound
+        in_all = "with the costs of set-ups" if cover.has_group_costs else f"in {setups} set-ups"
         return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
-    raised = not np.array_equal(found.targets, requested)
-    at = f", at {comma_list(np.round(100 * found.targets, 2))} % of the samples for the request" if raised else ""
+    raised = not np.array_equal(cover.targets, requested)
+    at = f", at {comma_list(np.round(100 * cover.targets, 2))} % of the samples for the request" if raised else ""
     if views <= views_bound:
         return f"{fewest}; optimal for the candidates in {setups} set-ups (bound {views_bound}){at}"
     more = views - views_bound
@@ -55,7 +55,7 @@ def status(found: GroupedCover, offered: int, requested: Floats) -> str:
 def rows(file: SetupsFile) -> list[tuple[str, str]]:
     """Return names and values for a terminal."""
     coverage = file.coverage
-    found = [
+    result = [
         ("set-ups", f"{len(file.selected)}  ({file.status})"),
         ("views", f"{file.views} in all, lower bound {file.views_bound}"),
         (
@@ -66,12 +66,12 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
     ]
     if (first := file.alternative) is not None:
         less = f"{first.views} suffice in {first.setups} set-ups (--cost time --setup-seconds S weighs the two)"
-        found.append(("fewer views", less))
+        result.append(("fewer views", less))
     if file.satisfied_share is not None:
-        found.append(("targets met", f"on {percent(file.satisfied_share)} of the coverable surface"))
+        result.append(("targets met", f"on {percent(file.satisfied_share)} of the coverable surface"))
     if file.seconds is not None:
-        found.append(("cost", f"{file.seconds:.1f} s, lower bound {file.seconds_bound:.1f} s"))
-    found += [
+        result.append(("cost", f"{file.seconds:.1f} s, lower bound {file.seconds_bound:.1f} s"))
+    result += [
         (
             f"region {each.name}",
             f"{percent(each.visible)} of it, {percent(each.visible_of_coverable)} of its coverable surface"
@@ -79,7 +79,7 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
         )
         for each in file.regions
     ]
-    found += [
+    result += [
         (
             setup.folder,
             f"{file.candidates[setup.candidate].name}: {setup.views} views, marginal coverage "
@@ -88,13 +88,13 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
         for setup in file.selected
     ]
     if file.uncovered is not None:
-        found += [
+        result += [
             ("uncovered", f"{percent(share)}: {_CAUSES[name]}")
             for name, share in _reasons(file.uncovered)
             if share >= 5e-5
         ]
     best = max(each.coverable for each in file.candidates)
-    return [*found, ("best single set-up", f"its candidates measure {percent(best)} of the surface")]
+    return [*result, ("best single set-up", f"its candidates measure {percent(best)} of the surface")]
 
 
 def page(file: SetupsFile) -> str:
@@ -110,7 +110,7 @@ def page(file: SetupsFile) -> str:
     lines += ["|---|---|---|---|---|---|---|---|"]
     for row, each in enumerate(file.candidates):
         use = next(
-            (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.selected if chosen.candidate == row), ""
+            (f"[{setup.folder}]({setup.folder}/report.md)" for setup in file.selected if setup.candidate == row), ""
         )
         lines.append(
             f"| {row} | {each.name} | {comma_list(each.placement_mm)} | {comma_list(each.placement_abc_deg)} "
@@ -129,6 +129,6 @@ def shared_surface(pairs: Sequence[CommonSurface]) -> list[str]:
     return head + [f"| {one} and {other} | {share} | {free} |" for one, other, share, free in rows]
 
 
-def _reasons(found: UncoveredShares) -> list[tuple[str, float]]:
+def _reasons(shares: UncoveredShares) -> list[tuple[str, float]]:
     """Return names and shares of the causes, the largest first."""
-    return sorted(((name, getattr(found, name)) for name in _CAUSES), key=lambda each: -each[1])
+    return sorted(((name, getattr(shares, name)) for name in _CAUSES), key=lambda each: -each[1])

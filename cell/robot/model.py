@@ -276,8 +276,8 @@ def separation_name(model: mujoco.MjModel, one: str, other: str) -> str:
 def named_pair(model: mujoco.MjModel, numeric: int) -> tuple[str, str]:
     """Return the two bodies in the name of a clearance or separation numeric."""
     one, other = model.numeric(numeric).name.split("_")[1:]
-    named = (*bodies(model), *_TOOL)
-    return named[int(one)], named[int(other)]
+    names = (*bodies(model), *_TOOL)
+    return names[int(one)], names[int(other)]
 
 
 def _number(model: mujoco.MjModel, body: str) -> int:

@@ -116,13 +116,13 @@ def _bodies(
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R.T @ frame.xmat.reshape(3, 3)).ravel())
     body.add_site(name=FLANGE, pos=R.T @ (frame.xpos - added[int(model.jnt_bodyid[ids[-1]])][1]), quat=quat)
     # Mimic joints after the six, each after its carrier.
-    taken = {*LINKS, *AXES, FLANGE, "world", "bracket", "housing", "part", "object", "post", "pedestal", "floor"}
+    names = {*LINKS, *AXES, FLANGE, "world", "bracket", "housing", "part", "object", "post", "pedestal", "floor"}
     for mimic in sorted(file.mimic_joints, key=lambda each: int(model.joint(each.joint).bodyid[0])):
         joint = model.joint(mimic.joint).id
-        own = int(model.jnt_bodyid[joint])
-        carrier, at = added[_carrier(model, int(model.body_parentid[own]), added)]
-        name = model.body(own).name
-        name = f"{name} of the robot" if name in taken or not name else name
+        mimic_body = int(model.jnt_bodyid[joint])
+        carrier, at = added[_carrier(model, int(model.body_parentid[mimic_body]), added)]
+        name = model.body(mimic_body).name
+        name = f"{name} of the robot" if name in names or not name else name
         new = spec.body(carrier).add_body(name=name, pos=R.T @ (data.xanchor[joint] - at))
         new.add_joint(
             name=f"drives_{name}",
@@ -131,7 +131,7 @@ def _bodies(
             limited=mujoco.mjtLimited.mjLIMITED_FALSE,
         )
         spec.add_numeric(name=f"follower_{name}", data=[float(mimic.axis), mimic.ratio], size=2)
-        added[own] = (name, data.xanchor[joint].copy())
+        added[mimic_body] = (name, data.xanchor[joint].copy())
     return added
 
 

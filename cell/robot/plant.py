@@ -283,20 +283,20 @@ class MujocoPlant:
         gains, data, model, step, integral = self._gains, self.data, self.model, self._step, self._integral
         steady = gains.stiffness * q[:-1] + gains.damping * qd[ahead : steps + ahead] + torque[:steps]
         per_step, axes, speeds, path = gains.integral * h, data.qpos, data.qvel, np.empty((steps, q.shape[1]))
-        done = steps
+        n_done = steps
         for k in range(steps):
             error = q[k] - axes
             if not (error @ error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):  # NaN too
-                done = k
+                n_done = k
                 break
             integral += per_step * error
             data.ctrl[:] = steady[k] + integral
             step(model, data)
             path[k] = axes
-        self._steps += done
-        if self._observer is not None and done:
-            self._observer(self._reference, times[1 : done + 1], path[:done])
-        self._error = q[done] - axes
+        self._steps += n_done
+        if self._observer is not None and n_done:
+            self._observer(self._reference, times[1 : n_done + 1], path[:n_done])
+        self._error = q[n_done] - axes
         if not (self._error @ self._error <= _TOO_FAR and speeds @ speeds <= _TOO_FAST):
             self._fail()
             return

@@ -79,8 +79,8 @@ def describe_refusal(error: ValueError, *, has_lines: bool = True) -> str:
 
 def _cause(sentence: str) -> str:
     for pattern, ours in _CAUSES:
-        if found := re.search(pattern, sentence):
-            return ours.format(*(group.strip()[:60] for group in found.groups()))
+        if match := re.search(pattern, sentence):
+            return ours.format(*(group.strip()[:60] for group in match.groups()))
     return f"MuJoCo's compiler reports '{sentence[:120]}'; correct or remove this element"
 
 
@@ -88,11 +88,11 @@ def _place(sentence: str, element: str) -> str:
     """Return kind, name and line of the element that MuJoCo names."""
     line = re.search(r"line (\d+)", element)
     at = f"line {line[1]}" if line and line[1] != "1" else ""
-    if named := re.match(r"name '([^']*)', id (\d+)", element):
+    if match := re.match(r"name '([^']*)', id (\d+)", element):
         kind = re.search(r" in (geom|joint|body|light|camera|site)\b", sentence)
         which = f"{kind[1] if kind else 'element'} "
         return ", ".join(
-            each for each in (which + (f"'{named[1]}'" if named[1] else f"number {int(named[2]) + 1}"), at) if each
+            each for each in (which + (f"'{match[1]}'" if match[1] else f"number {int(match[2]) + 1}"), at) if each
         )
     tag = re.match(r"'(\w+)'", element)
     return ", ".join(each for each in (f"<{tag[1]}>" if tag else "", at) if each)

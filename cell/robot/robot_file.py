@@ -233,15 +233,15 @@ def _select_arm(
     sites = [model.site(i).name for i in range(model.nsite)]
     root = base or next((name for i, name in enumerate(bodies) if i and model.body_parentid[i] == 0), "world")
     if root not in bodies:
-        raise SceneError(f"{path} has no link '{root}' for the base; it has {_listed(bodies[1:])}")
+        raise SceneError(f"{path} has no link '{root}' for the base; it has {_name_list(bodies[1:])}")
     end = flange or next((name for name in _FLANGES if name in bodies or name in sites), None)
     if end is None:
         raise SceneError(
             f"{path} has no link named flange or tool0; name the flange's link (robot.flange_link): "
-            f"{_listed(bodies[1:])}"
+            f"{_name_list(bodies[1:])}"
         )
     if end not in bodies and end not in sites:
-        raise SceneError(f"{path} has no link '{end}' for the flange; it has {_listed(bodies[1:])}")
+        raise SceneError(f"{path} has no link '{end}' for the flange; it has {_name_list(bodies[1:])}")
     body = bodies.index(end) if end in bodies else int(model.site(end).bodyid[0])
     chain: list[int] = []
     while body > 0 and body != bodies.index(root):
@@ -253,7 +253,7 @@ def _select_arm(
     names = [model.joint(joint).name for joint in chain]
     if len(chain) != 6 or any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in chain):
         raise SceneError(
-            f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm must have six "
+            f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_name_list(names)}); an arm must have six "
             "revolute joints"
         )
     file_warnings = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in messages]
@@ -261,8 +261,8 @@ def _select_arm(
     model.jnt_range[endless] = (-2.0 * np.pi, 2.0 * np.pi)
     if endless:
         file_warnings.append(
-            f"{path.name} gives no range of {_listed([model.joint(joint).name for joint in endless])}: -360 to 360 deg "
-            "is assumed; add a range if a cable or a stop allows less"
+            f"{path.name} gives no range of {_name_list([model.joint(joint).name for joint in endless])}: -360 to 360 "
+            "deg is assumed; add a range if a cable or a stop allows less"
         )
     lower, upper = model.jnt_range[chain].T
     for name, low, high in zip(names, lower, upper, strict=True):
@@ -319,7 +319,7 @@ def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:
     return np.array(model.key_qpos[keys[0]][values]) if keys else None
 
 
-def _listed(names: list[str]) -> str:
+def _name_list(names: list[str]) -> str:
     return ", ".join(names) if names else "none"
 
 
@@ -420,7 +420,7 @@ def _require_tree(root: ElementTree.Element, path: Path) -> None:
             known = ", ".join(_JOINT_TYPES)
             raise SceneError(f"{path}: the joint '{name}' has the type '{kind}'; supported are {known}")
         ends = [
-            (found.get("link", "") if (found := joint.find(end)) is not None else "") for end in ("parent", "child")
+            (element.get("link", "") if (element := joint.find(end)) is not None else "") for end in ("parent", "child")
         ]
         for end, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:
@@ -434,7 +434,7 @@ def _require_tree(root: ElementTree.Element, path: Path) -> None:
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SceneError(
-            f"{path} has {len(roots)} links without a parent ({_listed(roots)}); links must form one tree: connect "
+            f"{path} has {len(roots)} links without a parent ({_name_list(roots)}); links must form one tree: connect "
             "them by fixed joints"
         )
 
@@ -545,16 +545,16 @@ def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
     plain = name.removeprefix("file://")
     if name.startswith("package://"):
         package, _, inside = name.removeprefix("package://").partition("/")
-        tried = [packages[package] / inside] if package in packages else []
+        paths = [packages[package] / inside] if package in packages else []
         # The description lies beside its package's folder, or in it.
-        tried += [folder / inside for folder in path.resolve().parents if folder.name == package]
-        tried += [folder / package / inside for folder in path.resolve().parents]
+        paths += [folder / inside for folder in path.resolve().parents if folder.name == package]
+        paths += [folder / package / inside for folder in path.resolve().parents]
         hint = f"; name the folder of the package: --package {package}=DIR"
     else:
-        tried = [path.resolve().parent / plain]
-        folder = tried[0].parent
+        paths = [path.resolve().parent / plain]
+        folder = paths[0].parent
         others = (
-            [each.name for each in folder.iterdir() if each.name.lower() == tried[0].name.lower()]
+            [each.name for each in folder.iterdir() if each.name.lower() == paths[0].name.lower()]
             if folder.is_dir()
             else []
         )
@@ -564,7 +564,7 @@ def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
             else "; copy the file there, or correct the name"
         )
         hint = "; write / between folders" if "\\" in name else hint
-    for file in tried:
+    for file in paths:
         if file.is_file():
             return file
-    raise FileError(f"{path} names the mesh {name}, but {tried[0]} does not exist{hint}")
+    raise FileError(f"{path} names the mesh {name}, but {paths[0]} does not exist{hint}")

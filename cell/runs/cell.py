@@ -197,8 +197,8 @@ def _surroundings(
     mujoco.mj_kinematics(model, data)
     meshes = {each.name: run.mesh(each.file) for each in scene.fixtures if each.file is not None}
     pieces = occluders_of_model(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
-    own = (each.name for each in scene.fixtures if each.attached_to == "base" and not each.built_in)
-    ignored = names_beside_table(table, own)
+    names = (each.name for each in scene.fixtures if each.attached_to == "base" and not each.built_in)
+    ignored = names_beside_table(table, names)
     return tuple(piece for piece in pieces if piece.name not in ignored), table_radius(model, data, table)
 
 

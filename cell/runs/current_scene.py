@@ -72,51 +72,52 @@ def require_current_scene(
         reporter: receives notes about accepted differences and missing files.
         wire: whether a real controller is driven; a missing file is then a difference.
     """
-    gone: list[str] = []
-    found = dict(_differences(verified, now, gone))
-    if gone:
-        found[MISSING] = (
-            f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} missing and cannot be compared with the plan"
+    missing_files: list[str] = []
+    differences = dict(_differences(verified, now, missing_files))
+    if missing_files:
+        differences[MISSING] = (
+            f"{', '.join(missing_files)} {'is' if len(missing_files) == 1 else 'are'} missing and cannot be compared "
+            "with the plan"
         )
-    unaccepted = {name: sentence for name, sentence in found.items() if name not in now.accept_changed_scene}
+    unaccepted = {name: sentence for name, sentence in differences.items() if name not in now.accept_changed_scene}
     refused = {name: sentence for name, sentence in unaccepted.items() if name != MISSING or wire}
     if refused:
         raise SceneError(
             f"the cell differs from the plan: {'; '.join(refused.values())}. Plan again, or accept it with "
             f"--accept-changed-scene {','.join(refused)}"
         )
-    for sentence in found.values():
+    for sentence in differences.values():
         if reporter is not None:
             reporter.note(sentence)
 
 
-def _differences(verified: VerifiedPlan, now: CurrentFiles, gone: list[str]) -> Iterator[tuple[str, str]]:
-    """Yield name and sentence of each difference; append missing files to `gone`."""
+def _differences(verified: VerifiedPlan, now: CurrentFiles, missing_files: list[str]) -> Iterator[tuple[str, str]]:
+    """Yield name and sentence of each difference; append missing files to `missing_files`."""
     scene, changed = now.scene, None
-    for named in verified.run.manifest.files:
-        path = Path(named.path)
-        if (named.role == "scene" and now.scene is not None) or (named.role == "part" and now.part is not None):
+    for file in verified.run.manifest.files:
+        path = Path(file.path)
+        if (file.role == "scene" and now.scene is not None) or (file.role == "part" and now.part is not None):
             continue
         sha = sha256_of(path)
         if not sha:
-            gone.append(named.path)
-        elif named.role == "part":
-            yield from _part(verified, named.path)
-        elif sha == named.sha256:
+            missing_files.append(file.path)
+        elif file.role == "part":
+            yield from _part(verified, file.path)
+        elif sha == file.sha256:
             continue
-        elif named.role == "scene":
+        elif file.role == "scene":
             scene, changed = path, _changed_tables(verified, path)
             if changed and "setup" in changed:
                 yield "placement", f"the [[setup]] tables of {path} were changed"
-        elif named.role == "robot":
+        elif file.role == "robot":
             yield "robot", f"the robot's file {path} was changed"
         else:
-            yield named.role, f"the mesh {path} of the fixture '{named.role.partition(':')[2]}' was changed"
+            yield file.role, f"the mesh {path} of the fixture '{file.role.partition(':')[2]}' was changed"
     if now.part is not None:
         yield from _part(verified, now.part)
     elif verified.scene.part.name in builtin.NAMES and verified.scene.part.units is None:
         yield from _part(verified, verified.scene.part.name)
-    if scene is None and not gone:
+    if scene is None and not missing_files:
         yield from _unchanged_scene(verified)
     if scene is not None:
         try:
@@ -147,7 +148,7 @@ def _unchanged_scene(verified: VerifiedPlan) -> Iterator[tuple[str, str]]:
     overrides = verified.run.manifest.overrides
     if overrides is None:  # of an earlier version
         return
-    paths = [Path(named.path) for named in verified.run.manifest.files if named.role == "scene"]
+    paths = [Path(file.path) for file in verified.run.manifest.files if file.role == "scene"]
     try:
         described = load_scene(paths[0] if paths else None)
     except CellError as error:
@@ -195,7 +196,7 @@ def _scene(
             [planned.post.enabled, planned.post.diameter_mm if planned.post.enabled else 0.0],
         ),
         "pedestal": (_pedestal(now), _pedestal(planned)),
-        "robot": ([now.robot.T_base, _named(verified, now)], [planned.robot.T_base, True]),
+        "robot": ([now.robot.T_base, _names_robot(verified, now)], [planned.robot.T_base, True]),
         "limits": (_limits(verified, now), _limits(verified, planned)),
         "speed": (
             [now.robot.speed_scaling, now.robot.acceleration_scaling],
@@ -223,9 +224,9 @@ def _scanner_as_planned(now: Scene, planned: Scene) -> Scene:
         left = {"scanner": ("baseline_mm",), "housing": ("size_mm", "bracket_diameter_mm")}
         update = {}
         for table, keys in left.items():
-            own, default = getattr(now, table), getattr(planned, table)
-            update[table] = own.model_copy(
-                update={key: getattr(default, key) for key in keys if getattr(own, key) is None}
+            current, default = getattr(now, table), getattr(planned, table)
+            update[table] = current.model_copy(
+                update={key: getattr(default, key) for key in keys if getattr(current, key) is None}
             )
         return now.model_copy(update=update)
     return with_device(now.model_copy(update={"plan": planned.plan}), planned.part.name, 0.0)
@@ -265,7 +266,7 @@ def _limits(verified: VerifiedPlan, scene: Scene) -> list[object]:
     return [np.degrees(each[:ARM_AXES]) for each in (limits.velocity, limits.acceleration, jerk)]
 
 
-def _named(verified: VerifiedPlan, scene: Scene) -> bool:
+def _names_robot(verified: VerifiedPlan, scene: Scene) -> bool:
     """Return whether a scene names the robot of the plan."""
     planned = verified.scene.robot.name if verified.scene.robot is not None else KR16
     return Path(scene.robot.model).name == planned

@@ -63,9 +63,9 @@ def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
     if world.table is None:
         return None
     fixed = {"post_mm"} if scene.table.position_mm is not None else set[str]()
-    said = scene.table.model_dump(include=set(ResolvedTable.model_fields) - fixed)
+    values = scene.table.model_dump(include=set(ResolvedTable.model_fields) - fixed)
     low, high = np.degrees([world.table.lower, world.table.upper]).round(9).tolist()
-    return ResolvedTable(T_base_table=world.table.T_base_table, free_range_deg=(low, high), **said)
+    return ResolvedTable(T_base_table=world.table.T_base_table, free_range_deg=(low, high), **values)
 
 
 class TableValues(TypedDict, total=False):
@@ -124,7 +124,7 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
             name=name, shape=shape, size_mm=size_mm, pose=T, attached_to="base", occludes=True, built_in=True
         )
 
-    listed = []
+    fixtures = []
     if scene.post.enabled:
         T = world.T_base_post(world.T_base_object)
         x, y, top = (mm(value) for value in T[:3, 3])
@@ -132,16 +132,16 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
         if world.table is not None:
             height = mm(world.table.to_table_frame(T[:3, 3])[2])
             centre = [mm(value) for value in T[:3, 3] - T[:3, 2] * (height / 2000)]
-        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], centre))
+        fixtures.append(standing("post", "cylinder", [scene.post.diameter_mm, height], centre))
     if world.table is not None:
         T, size_mm = world.table.T_base_table, [scene.table.diameter_mm, scene.table.height_mm]
         centre = [mm(value) for value in T[:3, 3] - T[:3, 2] * (size_mm[1] / 2000)]
-        listed.append(standing(TABLE, "cylinder", size_mm, centre))
+        fixtures.append(standing(TABLE, "cylinder", size_mm, centre))
     if scene.robot.pedestal_mm is not None:
         size, middle = scene.robot.pedestal_mm
-        listed.append(standing("pedestal", "box", list(size), list(middle)))
-    listed.append(standing("floor", "plane", [], [0.0, 0.0, floor_mm]))
-    return listed
+        fixtures.append(standing("pedestal", "box", list(size), list(middle)))
+    fixtures.append(standing("floor", "plane", [], [0.0, 0.0, floor_mm]))
+    return fixtures
 
 
 def _fixture(fixture: Fixture, world: World) -> StandingFixture:

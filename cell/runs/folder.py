@@ -79,10 +79,11 @@ class RunFolder:
             raise FileError(f"the run folder {target} has no name; give --out the path of a new folder")
         path = target.with_name(target.name + ".part")
         _move_aside(path)
-        for taken in (target, path):
-            if taken.exists():
+        for existing in (target, path):
+            if existing.exists():
                 raise FileError(
-                    f"the run folder {taken} exists already and is never overwritten; choose another --out or remove it"
+                    f"the run folder {existing} exists already and is never overwritten; choose another --out or "
+                    "remove it"
                 )
         try:
             path.mkdir(parents=True)
@@ -165,7 +166,7 @@ class RunFolder:
         with self._writing(name):
             self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
 
-    def named(self, files: tuple[NamedFile, ...], overrides: tuple[str, ...] | None) -> None:
+    def record_files(self, files: tuple[NamedFile, ...], overrides: tuple[str, ...] | None) -> None:
         """Record the user's files that the plan depends on, and the keys of the scene that are not from its file."""
         self.manifest = self.manifest.but(overrides=overrides, **({"files": files} if files else {}))
 

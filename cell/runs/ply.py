@@ -75,8 +75,8 @@ def file_pieces(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]
         header.append(f"element {element} {len(rows)}")
         for name, (kind, *_) in (rows.dtype.fields or {}).items():
             if name != _CORNERS:
-                listed = "list uchar " if kind.shape else ""
-                header.append(f"property {listed}{_NAMES[kind.base.str]} {name}")
+                prefix = "list uchar " if kind.shape else ""
+                header.append(f"property {prefix}{_NAMES[kind.base.str]} {name}")
     yield ("\n".join([*header, "end_header"]) + "\n").encode("ascii")
     for rows in elements.values():
         yield rows.tobytes()
@@ -93,7 +93,7 @@ def elements(content: bytes) -> dict[str, NDArray[np.void]]:
     The vertices of a face are in `vertex_indices`. Raises PlannerError if header and length differ, ValueError if the
     content is not such a file.
     """
-    header, found, body = content.partition(b"end_header\n")
+    header, separator, body = content.partition(b"end_header\n")
     kinds: dict[str, list[tuple[str, str] | tuple[str, str, int]]] = {}
     counts: dict[str, int] = {}
     for line in header.decode("ascii").splitlines():
@@ -109,6 +109,6 @@ def elements(content: bytes) -> dict[str, NDArray[np.void]]:
         row = np.dtype(fields)
         arrays[name] = np.frombuffer(body[at : at + counts[name] * row.itemsize], dtype=row)
         at += counts[name] * row.itemsize
-    if not found or at != len(body):
+    if not separator or at != len(body):
         raise PlannerError("its header and its length differ")
     return arrays

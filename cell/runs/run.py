@@ -173,15 +173,15 @@ class Run(ArtefactFolder):
     def facts(self) -> list[tuple[str, str]]:
         """Return folder, number of views, coverage, bound and duration; of a run without a report its status."""
         try:
-            found = self.report
+            report = self.report
         except FileError:
             return [("folder", str(self.folder)), ("status", "damaged" if self.is_finished else self.ending)]
         return [
             ("folder", str(self.folder)),
-            ("views", str(found.n_views)),
-            ("coverage", percent(found.coverage.visible)),
-            ("lower bound", f"{found.lower_bound} views"),
-            ("motion", f"{found.motion.duration_s:.1f} s"),
+            ("views", str(report.n_views)),
+            ("coverage", percent(report.coverage.visible)),
+            ("lower bound", f"{report.lower_bound} views"),
+            ("motion", f"{report.motion.duration_s:.1f} s"),
         ]
 
     @property
@@ -331,8 +331,8 @@ class Run(ArtefactFolder):
         import mujoco
 
         model = self.cell_model()
-        own = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
-        return [*own, *(axis_name(axis) for axis in range(len(own), self.motion.q.shape[1]))]
+        names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
+        return [*names, *(axis_name(axis) for axis in range(len(names), self.motion.q.shape[1]))]
 
     @contextmanager
     def compiling(self) -> Iterator[None]:
@@ -699,8 +699,8 @@ def npz_arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
             with np.load(io.BytesIO(content), allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
         for array in arrays.values():  # an invalid character would raise where it is first used
-            own = array.astype(array.dtype.newbyteorder("=")).tobytes() if array.dtype.kind == "U" else b""
-            if (np.frombuffer(own, dtype=np.uint32) > sys.maxunicode).any():
+            code_points = array.astype(array.dtype.newbyteorder("=")).tobytes() if array.dtype.kind == "U" else b""
+            if (np.frombuffer(code_points, dtype=np.uint32) > sys.maxunicode).any():
                 raise ValueError("holds an invalid character")
         return arrays
     except (
@@ -713,10 +713,10 @@ def npz_arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
 def _require_size(content: bytes) -> None:
     """Check the announced sizes of an .npz before anything is allocated: a few bytes may announce gigabytes."""
     with zipfile.ZipFile(io.BytesIO(content)) as members:
-        listed = members.infolist()
-        if sum(member.file_size for member in listed) > max(_SMALL, _MAX_EXPANSION * len(content)):
+        entries = members.infolist()
+        if sum(member.file_size for member in entries) > max(_SMALL, _MAX_EXPANSION * len(content)):
             raise ValueError("is larger, uncompressed, than a run folder's files")
-        for member in listed:
+        for member in entries:
             with members.open(member) as file:
                 version = np.lib.format.read_magic(file)
                 header = (
@@ -764,5 +764,5 @@ def _missing_folder(folder: Path) -> str:
         return f"{folder} does not exist, but {unfinished} does: a run that did not finish; give that name to see it"
     parent = folder.parent
     runs = sorted(path.parent.name for path in parent.glob("*/manifest.json")) if parent.is_dir() else []
-    others = f"; run folders next to it: {', '.join(runs[-3:])}" if runs else ""
-    return f"the run folder {folder} does not exist; give the folder that cell plan made{others}"
+    hint = f"; run folders next to it: {', '.join(runs[-3:])}" if runs else ""
+    return f"the run folder {folder} does not exist; give the folder that cell plan made{hint}"

@@ -298,9 +298,9 @@ _JSON_TOLERANCE = 1e-7
 """Tolerance of equal numbers, absolute and relative: 0.1 um, above the rounding of the files."""
 
 
-def first_difference(found: JsonTable, expected: JsonTable) -> str:
+def first_difference(stored: JsonTable, expected: JsonTable) -> str:
     """Return the key of the first difference between a stored and a recomputed table; "" if there is none."""
-    ours, theirs = dict(_leaves(found.as_json())), dict(_leaves(expected.as_json()))
+    ours, theirs = dict(_leaves(stored.as_json())), dict(_leaves(expected.as_json()))
     for key in {**theirs, **ours}:
         if key not in ours or key not in theirs or not _same(ours[key], theirs[key]):
             return key
@@ -319,12 +319,12 @@ def _leaves(value: JsonValue, key: str = "") -> Iterator[tuple[str, JsonValue]]:
         yield key, value
 
 
-def _same(found: JsonValue, expected: JsonValue) -> bool:
-    numbers = isinstance(found, int | float) and isinstance(expected, int | float)
-    if numbers and not isinstance(found, bool) and not isinstance(expected, bool):
-        difference = abs(found - expected)  # type: ignore[operator]  # both are numbers
+def _same(stored: JsonValue, expected: JsonValue) -> bool:
+    numbers = isinstance(stored, int | float) and isinstance(expected, int | float)
+    if numbers and not isinstance(stored, bool) and not isinstance(expected, bool):
+        difference = abs(stored - expected)  # type: ignore[operator]  # both are numbers
         return bool(difference <= _JSON_TOLERANCE * max(1.0, abs(expected)))  # type: ignore[arg-type]  # likewise
-    return bool(found == expected)
+    return bool(stored == expected)
 
 
 _MOTION_TOLERANCE = 1e-7  # s, rad, rad/s, rad/s^2
@@ -380,9 +380,9 @@ def verify_timing(
     }
     again = retime(motion.via_q, motion.segment, motion.view, motion.limits, pose=motion.pose, lines=lines)
     for name in _TIMED:
-        found, expected = getattr(motion, name), getattr(again, name)
-        if found.shape != expected.shape or not np.allclose(
-            found, expected, rtol=_MOTION_TOLERANCE, atol=_MOTION_TOLERANCE
+        stored, expected = getattr(motion, name), getattr(again, name)
+        if stored.shape != expected.shape or not np.allclose(
+            stored, expected, rtol=_MOTION_TOLERANCE, atol=_MOTION_TOLERANCE
         ):
             refuse(path, f"has {name} that do not follow from its via points and limits")
 
@@ -424,17 +424,17 @@ def verify_views(
         refuse(path, "has poses at via points without a view")
     ends = []
     for k, view in enumerate(plan.views):
-        own = rows[number == k]
+        view_rows = rows[number == k]
         poses = 1 if view.sweep is None else len(view.sweep.q_deg)
         backwards = view.sweep is not None and view.sweep.backwards
-        if motion.pose[own].tolist() != list(range(poses))[:: -1 if backwards else 1]:
+        if motion.pose[view_rows].tolist() != list(range(poses))[:: -1 if backwards else 1]:
             refuse(path, f"does not pass the poses of view {k + 1} in order")
-        expected = _view(view, motion.via_q[own][:: -1 if backwards else 1], candidates, world, kinematics)
+        expected = _view(view, motion.via_q[view_rows][:: -1 if backwards else 1], candidates, world, kinematics)
         if key := first_difference(view, expected):
             refuse(
                 run.folder / "plan.json", f"differs from motion.npz, the mount or the candidates at views[{k}].{key}"
             )
-        ends.append(int(own[-1]) if view.sweep is None else _line_end(motion, int(own[-1])))
+        ends.append(int(view_rows[-1]) if view.sweep is None else _line_end(motion, int(view_rows[-1])))
     segment = np.searchsorted(ends, np.arange(len(motion.via_q)), side="left")
     if not np.array_equal(motion.segment, segment):
         refuse(path, "has segments that do not end at its views")
@@ -498,14 +498,14 @@ def verify_sweeps(
         full: limits at full speed.
     """
     path, speed = run.folder / "motion.npz", DEFAULT_SPEED.slowed(limits, full)
-    found: list[tuple[int, SweepPath]] = []
+    sweep_paths: list[tuple[int, SweepPath]] = []
     on_line = np.full(len(motion.line), -1)
     for k, view in enumerate(plan.views):
         if view.sweep is None:
             continue
         row = int(np.flatnonzero(motion.view == view.id)[0])
-        own = np.flatnonzero(motion.line == motion.line[row])
-        driven: Ints = to_steps(motion.via_q[max(0, int(own[0]) - 1) : int(own[-1]) + 1])
+        line_rows = np.flatnonzero(motion.line == motion.line[row])
+        driven: Ints = to_steps(motion.via_q[max(0, int(line_rows[0]) - 1) : int(line_rows[-1]) + 1])
         column = world.T_base_object @ candidates.T_object_scanner[view.id]
         paths = find_sweeps(column, world.T_flange_scanner, kinematics, limits, speed, checker).paths
         match = next((path for path in paths if np.array_equal(to_steps(path.q), driven)), None)
@@ -513,11 +513,11 @@ def verify_sweeps(
             refuse(path, f"drives a line for the sweep of view {k + 1} that cannot be proven")
         if key := first_difference(view.sweep, sweep_values(view.T_object_poses, match)):
             refuse(run.folder / "plan.json", f"states another sweep than motion.npz at views[{k}].sweep.{key}")
-        on_line[own] = len(found)
-        found.append((int(own[0]) - 1, match))
+        on_line[line_rows] = len(sweep_paths)
+        sweep_paths.append((int(line_rows[0]) - 1, match))
     if not np.array_equal(on_line, motion.line):
         refuse(path, "has lines that do not belong to its sweeps")
-    return found
+    return sweep_paths
 
 
 def verify_clearance(

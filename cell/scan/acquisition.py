@@ -168,20 +168,20 @@ def load(text: str) -> tuple[AcquisitionClass, str]:
         UsageError: if no installed distribution has the name, two have it, or the class cannot be imported.
     """
     name, _, argument = text.partition(":")
-    found: list[EntryPoint] = [point for point in entry_points(group=GROUP) if point.name == name]
-    if not found:
+    points: list[EntryPoint] = [point for point in entry_points(group=GROUP) if point.name == name]
+    if not points:
         hint = "" if names() else " (this installation of scan-cell is older than the sources: install it again)"
         raise UsageError(
             f"--acquire {text} is not a source of points; installed are: {', '.join(names()) or 'none'}{hint}"
         )
-    if len({point.value for point in found}) > 1:
-        values = " and ".join(point.value for point in found)
+    if len({point.value for point in points}) > 1:
+        values = " and ".join(point.value for point in points)
         raise UsageError(f"--acquire {name} is defined by {values}; uninstall all but one")
     try:
-        kind: AcquisitionClass = found[0].load()
+        kind: AcquisitionClass = points[0].load()
     except Exception as error:  # a foreign plug-in may fail in any way at import
         raise UsageError(
-            f"--acquire {name} cannot be imported from {found[0].value}: {type(error).__name__}: {error}; repair or "
+            f"--acquire {name} cannot be imported from {points[0].value}: {type(error).__name__}: {error}; repair or "
             "uninstall that distribution"
         ) from error
     return kind, argument

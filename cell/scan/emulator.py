@@ -230,8 +230,10 @@ def load_arm(run_folder: Path | None, plant: str) -> Arm:
     limits, home = robot.limits(model), robot.home(model)
     if run is None or (table := table_of(run.scene)) is None:
         return Arm(Limits.from_rad(limits), home, plants[plant])
-    own = Limits.from_rad(table.limits(limits))
-    return Arm(own.with_endless_axis() if run.scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
+    table_limits = Limits.from_rad(table.limits(limits))
+    if run.scene.table_is_endless:
+        table_limits = table_limits.with_endless_axis()
+    return Arm(table_limits, np.append(home, 0.0), plants[plant])
 
 
 def write_controller_files(

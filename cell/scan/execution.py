@@ -384,15 +384,15 @@ def _watch_at_rest(driver: Driver) -> Iterator[None]:
     if driver.capabilities.simulated_time:  # nothing happens while its time stands still
         yield
         return
-    found: list[Exception] = []
+    errors: list[Exception] = []
     ended = threading.Event()
 
     def watch() -> None:
-        while not found and not ended.wait(_WATCH_S):
+        while not errors and not ended.wait(_WATCH_S):
             try:
                 driver.require_ready()
             except Exception as error:  # raised in the thread of the scan
-                found.append(error)
+                errors.append(error)
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
@@ -401,8 +401,8 @@ def _watch_at_rest(driver: Driver) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-    if found:
-        raise found[0]
+    if errors:
+        raise errors[0]
 
 
 def _chunks(set_points: SetPoints, max_via: int | None) -> Iterator[SetPoints]:

@@ -60,8 +60,8 @@ class ExecutionFolder(RunFolder):
         try:
             root.mkdir(exist_ok=True)
             while True:
-                taken = [int(path.name) for path in root.iterdir() if path.name.isdecimal()]
-                path = root / f"{max(taken, default=0) + 1:04d}"
+                numbers = [int(path.name) for path in root.iterdir() if path.name.isdecimal()]
+                path = root / f"{max(numbers, default=0) + 1:04d}"
                 try:
                     path.mkdir()
                     break
@@ -111,9 +111,9 @@ class ExecutionFolder(RunFolder):
             time=now, argv=tuple(argv), driver=driver, previous_status=self.manifest.status or "", **approach
         )
         outdated = [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]
-        kept = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
+        artefacts = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
         self.manifest = with_process(self.manifest.without("exit_code", "reason"))
-        self.note(status="running", resumptions=(*self.manifest.resumptions, continued), artefacts=kept)
+        self.note(status="running", resumptions=(*self.manifest.resumptions, continued), artefacts=artefacts)
         for name in outdated:  # the earlier report, which the manifest no longer lists
             self.remove(name)
 

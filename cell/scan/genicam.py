@@ -67,12 +67,12 @@ class GenICam:
         settings = parse_qsl(query, keep_blank_values=True)
         self._device = device
         self._features = [(name, value) for name, value in settings if name not in _OPTIONS]
-        own = dict(settings)
-        self._producer = own.get("producer")
+        keys = dict(settings)
+        self._producer = keys.get("producer")
         try:
-            self._min_confidence = float(own.get("min_confidence", 0))
+            self._min_confidence = float(keys.get("min_confidence", 0))
         except ValueError:
-            raise UsageError(f"min_confidence={own['min_confidence']} must be a number") from None
+            raise UsageError(f"min_confidence={keys['min_confidence']} must be a number") from None
         if getattr(context.cell.scanner, "T_view_scanner", None) is not None:
             raise UsageError("--acquire genicam takes one frame at rest; the plan moves a line sensor: use files:DIR")
         self._frame, self._unit = frame_and_unit(context)
@@ -150,15 +150,15 @@ def _package() -> tuple[Any, _Errors]:
     return Harvester(), (genapi.GenericException, gentl.GenericException)
 
 
-def _producers(given: str | None) -> list[Path]:
+def _producers(producer: str | None) -> list[Path]:
     """Return the files of the given GenTL producer, or of all that are installed."""
-    if given is not None:
-        paths = [Path(given).expanduser()]
+    if producer is not None:
+        paths = [Path(producer).expanduser()]
     else:
         folders = [Path(each) for each in os.environ.get(PRODUCERS, "").split(os.pathsep) if each]
         paths = sorted(path for folder in folders for path in folder.glob("*.cti"))
     if not paths or not all(path.is_file() for path in paths):
-        where = f"{given} is no file" if given is not None else f"{PRODUCERS} names no folder with a .cti file"
+        where = f"{producer} is no file" if producer is not None else f"{PRODUCERS} names no folder with a .cti file"
         raise UsageError(
             f"{where}; install the GenTL producer of the scanner's maker, or give it: --acquire "
             "'genicam:DEVICE?producer=/opt/maker/producer.cti'"
@@ -166,25 +166,27 @@ def _producers(given: str | None) -> list[Path]:
     return paths
 
 
-def _select(devices: Sequence[Any], wanted: str, errors: _Errors) -> tuple[Any, str]:
+def _select(devices: Sequence[Any], identity: str, errors: _Errors) -> tuple[Any, str]:
     """Return the only device, or the only one with an identity, and its name for messages."""
 
     def identities(device: Any) -> dict[str, str]:
-        found = {}
+        identity = {}
         for key in ("vendor", *_IDENTITIES):
             with suppress(*errors):  # optional in GenTL
-                found[key] = str(getattr(device, key))
-        return found
+                identity[key] = str(getattr(device, key))
+        return identity
 
     known = [identities(device) for device in devices]
     names = [" ".join(each.get(key, "") for key in ("vendor", "model", "serial_number")).strip() for each in known]
-    chosen = [k for k, each in enumerate(known) if not wanted or wanted in [each.get(key) for key in _IDENTITIES]]
-    if len(chosen) == 1:
-        return devices[chosen[0]], names[chosen[0]]
-    listed = "; ".join(f"{each.get('id_', '?')} ({name})" for each, name in zip(known, names, strict=True)) or "none"
-    count = "several GenICam devices match" if chosen else "no GenICam device matches"
+    matches = [k for k, each in enumerate(known) if not identity or identity in [each.get(key) for key in _IDENTITIES]]
+    if len(matches) == 1:
+        return devices[matches[0]], names[matches[0]]
+    device_list = (
+        "; ".join(f"{each.get('id_', '?')} ({name})" for each, name in zip(known, names, strict=True)) or "none"
+    )
+    count = "several GenICam devices match" if matches else "no GenICam device matches"
     keys = "id, serial number, user-defined name or model"
-    raise UsageError(f"{count} --acquire genicam:{wanted}; give the {keys} of one; found: {listed}")
+    raise UsageError(f"{count} --acquire genicam:{identity}; give the {keys} of one; found: {device_list}")
 
 
 def _set(nodes: Any, features: Sequence[tuple[str, str]], errors: _Errors) -> None:
@@ -230,8 +232,8 @@ def _distance_unit(nodes: Any) -> str | None:
 
 def _of_frame(nodes: Any, name: str) -> Any:
     """Return a value of 3D scanning from the chunk data of the last frame, else from the settings."""
-    found = _value(nodes, f"ChunkScan3d{name}")
-    return _value(nodes, f"Scan3d{name}") if found is None else found
+    value = _value(nodes, f"ChunkScan3d{name}")
+    return _value(nodes, f"Scan3d{name}") if value is None else value
 
 
 def _capture(camera: Any, timeout_s: float) -> DepthGrid:
@@ -272,12 +274,12 @@ def read_frame(parts: Sequence[Any], nodes: Any) -> DepthGrid:
     confidence = None
     for part in parts:
         name, size = str(part.data_format), (int(part.height), int(part.width))
-        if found := _COORDINATES.fullmatch(name):
-            axes, planar = found[1], found[3] is not None
+        if match := _COORDINATES.fullmatch(name):
+            axes, planar = match[1], match[3] is not None
             shape = (len(axes), *size) if planar else (*size, len(axes))
             values = _reshaped(part, shape)
             for k, axis in enumerate(axes):
-                planes[axis] = (values[k] if planar else values[..., k], found[2] != "32f")
+                planes[axis] = (values[k] if planar else values[..., k], match[2] != "32f")
         elif _CONFIDENCE.fullmatch(name):
             confidence = _reshaped(part, size)
     formats = ", ".join(str(part.data_format) for part in parts) or "nothing"

@@ -159,17 +159,17 @@ class ScanOptions(CurrentFiles):
 
     @field_validator("actual", "states")
     @classmethod
-    def _make_absolute(cls, given: Path | None) -> Path | None:
-        return None if given is None else given.expanduser().absolute()
+    def _make_absolute(cls, path: Path | None) -> Path | None:
+        return None if path is None else path.expanduser().absolute()
 
     @field_validator("confirm_motion")
     @classmethod
-    def _check_digest(cls, given: str | None) -> str | None:
-        if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHORT_DIGEST},64}}", given.lower()):
+    def _check_digest(cls, digest: str | None) -> str | None:
+        if digest is not None and not re.fullmatch(f"[0-9a-f]{{{SHORT_DIGEST},64}}", digest.lower()):
             raise ValueError(
-                f"is {given!r}; it must be a digest as cell plan prints it, {SHORT_DIGEST} characters or more"
+                f"is {digest!r}; it must be a digest as cell plan prints it, {SHORT_DIGEST} characters or more"
             )
-        return None if given is None else given.lower()
+        return None if digest is None else digest.lower()
 
     @property
     def is_simulated(self) -> bool:
@@ -200,15 +200,15 @@ class ScanOptions(CurrentFiles):
         Raises:
             UsageError: naming the valid options.
         """
-        given = self.model_fields_set
+        keys = self.model_fields_set
         if report is not None and resume is not None:
             raise UsageError("--report uses the existing scans, --resume scans the missing views; give one of them")
-        if resume is not None and given - RESUME_OPTIONS:
+        if resume is not None and keys - RESUME_OPTIONS:
             raise UsageError(
                 "--resume keeps the options of the execution; with it give only --driver, --realtime, --speed, "
                 "--confirm-motion, --reset, --accept-time-scale, --states, --scene, --part and --accept-changed-scene"
             )
-        if report is not None and given:
+        if report is not None and keys:
             raise UsageError("--report uses the existing scans; omit the options of a new scan")
 
     def as_manifest(self) -> dict[str, JsonValue]:
@@ -224,9 +224,9 @@ class ScanOptions(CurrentFiles):
         Raises:
             PlannerError: if a value is invalid.
         """
-        own = {key: value for key, value in stored.items() if key in cls.model_fields and key != "confirm_motion"}
+        options = {key: value for key, value in stored.items() if key in cls.model_fields and key != "confirm_motion"}
         try:
-            return cls.model_validate({**own, "registration": stored.get("register")})
+            return cls.model_validate({**options, "registration": stored.get("register")})
         except ValidationError as error:
             raise PlannerError("; ".join(error_messages(error, cls))) from error
 

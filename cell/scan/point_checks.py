@@ -44,15 +44,15 @@ def find_contradictions(
     if not scans:
         return []
     diagonal = cell.reference.diagonal
-    given = [scan.points[np.linspace(0, len(scan.points) - 1, _SAMPLES).astype(np.int64)] for scan in scans]
-    distance = _distances(given, nearest, diagonal)
+    clouds = [scan.points[np.linspace(0, len(scan.points) - 1, _SAMPLES).astype(np.int64)] for scan in scans]
+    distance = _distances(clouds, nearest, diagonal)
     if distance.mean() > _SMALLEST * diagonal:
         costs = [
             (float(_distances(points, nearest, diagonal).mean()), cause)
-            for cause, points in _hypotheses(given, scans, cell, units)
+            for cause, points in _hypotheses(clouds, scans, cell, units)
             if np.median([np.linalg.norm(np.ptp(view, axis=0)) for view in points]) > _SPOT * diagonal
         ]
-        costs += _swapped_views(given, scans, nearest, diagonal)
+        costs += _swapped_views(clouds, scans, nearest, diagonal)
         least, cause = min(costs, default=(np.inf, ""))
         if least < _BETTER * distance.mean():
             return [
@@ -65,7 +65,7 @@ def find_contradictions(
         for scan, off in zip(scans, distance, strict=True)
         if off > _LARGEST * diagonal
     ]
-    return far or _outside_sensor_limits(given, scans, cell)
+    return far or _outside_sensor_limits(clouds, scans, cell)
 
 
 def _distances(views: Sequence[Floats], nearest: ClosestPointQuery, diagonal: float) -> Floats:
@@ -86,11 +86,11 @@ def _T_object(scan: ExecutedScan, frame: str, cell: RunCell) -> Floats:
 
 
 def _hypotheses(
-    given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell, units: str | None
+    clouds: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell, units: str | None
 ) -> Iterator[Hypothesis]:
     """Yield causes that affect all views alike: unit, mirrored frame, other frame."""
     poses = [_T_object(scan, scan.frame, cell) for scan in scans]
-    raw = [transform_points(np.linalg.inv(T), points) for T, points in zip(poses, given, strict=True)]
+    raw = [transform_points(np.linalg.inv(T), points) for T, points in zip(poses, clouds, strict=True)]
 
     def scaled(factor: Floats) -> list[Floats]:
         return [transform_points(T, points * factor) for T, points in zip(poses, raw, strict=True)]
@@ -104,13 +104,13 @@ def _hypotheses(
         yield cause, scaled(np.where(np.arange(3) == k, -1.0, 1.0))
     for frame in FRAMES:
         if frame != given_frame:
-            others = [_T_object(scan, frame, cell) for scan in scans]
-            moved = [transform_points(T, points) for T, points in zip(others, raw, strict=True)]
+            other_poses = [_T_object(scan, frame, cell) for scan in scans]
+            moved = [transform_points(T, points) for T, points in zip(other_poses, raw, strict=True)]
             yield f"they are in the {frame} frame, not in the {given_frame} frame", moved
 
 
 def _swapped_views(
-    given: Sequence[Floats], scans: Sequence[ExecutedScan], nearest: ClosestPointQuery, diagonal: float
+    clouds: Sequence[Floats], scans: Sequence[ExecutedScan], nearest: ClosestPointQuery, diagonal: float
 ) -> list[tuple[float, str]]:
     """Return cost and cause of the best exchange of views; only points in a moving frame reveal one."""
     if len(scans) < 2 or scans[0].frame not in ("scanner", "flange"):
@@ -120,7 +120,7 @@ def _swapped_views(
     costs = np.stack(
         [
             _distances([transform_points(T @ inverse[k], points) for T in poses], nearest, diagonal)
-            for k, points in enumerate(given)
+            for k, points in enumerate(clouds)
         ]
     )
     rows, columns = linear_sum_assignment(costs)
@@ -135,12 +135,12 @@ def _swapped_views(
     return [(float(costs[rows, columns].mean()), f"views are swapped (what is given as view {names})")]
 
 
-def _outside_sensor_limits(given: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell) -> list[str]:
+def _outside_sensor_limits(clouds: Sequence[Floats], scans: Sequence[ExecutedScan], cell: RunCell) -> list[str]:
     """Return a sentence for each view with many points outside field of view or range of the scanner."""
     keys = cell.scanner_keys.own
     fov, limits = keys.get("fov_deg"), keys.get("range_mm")
-    found: list[str] = []
-    for points, scan in zip(given, scans, strict=True):
+    sentences: list[str] = []
+    for points, scan in zip(clouds, scans, strict=True):
         if not isinstance(fov, list) or not isinstance(limits, list) or len(scan.T_reported_poses) > 1:
             break
         local = transform_points(np.linalg.inv(scan.T_reported), points)
@@ -151,8 +151,8 @@ def _outside_sensor_limits(given: Sequence[Floats], scans: Sequence[ExecutedScan
         outside_range = (distance < 0.98 * low) | (distance > 1.02 * high)
         for share, limit in ((outside_fov.mean(), "field of view"), (outside_range.mean(), "range")):
             if share > _OUTSIDE:
-                found.append(
+                sentences.append(
                     f"{100 * share:.0f} % of the points of view {scan.stop} lie outside the scanner's {limit}; the "
                     "scene describes another scanner, or another mount"
                 )
-    return found
+    return sentences

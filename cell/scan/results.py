@@ -125,17 +125,17 @@ def make_report(session: Session[None], folder: Path, execution: str) -> ScanOut
     cell = read_cell(run, options_of(recorded).resolution_deg)
     # Status and exit code describe the end of the execution, not of its report.
     ended, exit_code = ("incomplete" if status == "running" else status), opened.manifest.exit_code
-    made = report_execution(session.opened(opened, run.seed), run, cell, recorded)
-    for sentence in made.unusable_files:
+    report = report_execution(session.opened(opened, run.seed), run, cell, recorded)
+    for sentence in report.unusable_files:
         session.note(sentence)
-    if made.missing_views:
+    if report.missing_views:
         session.note(
-            f"the execution is incomplete: {made.n_views} of {made.n_views + len(made.missing_views)} views are "
+            f"the execution is incomplete: {report.n_views} of {report.n_views + len(report.missing_views)} views are "
             "scanned; the report covers these; cell scan --resume scans the others"
         )
-        return ScanOutcome(opened.finish(exit_code, ended), FileError.exit_code, made)
-    code = exit_code_of(made, cell)
-    return ScanOutcome(opened.finish(code if status == "finished" else exit_code, ended), code, made)
+        return ScanOutcome(opened.finish(exit_code, ended), FileError.exit_code, report)
+    code = exit_code_of(report, cell)
+    return ScanOutcome(opened.finish(code if status == "finished" else exit_code, ended), code, report)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,12 +175,12 @@ def report_execution(
         executed_s = folder.manifest.motion_s if is_timed else None
         motion = ExecutedMotion(planned_s=plan.planned_seconds, executed_s=executed_s)
         settings = _settings(cell, recorded.manifest.options, seed)
-        made = _execution_report(run, cell, settings, results, plan.stops, motion)
-        folder.write_json("report.json", made.as_json())
+        report = _execution_report(run, cell, settings, results, plan.stops, motion)
+        folder.write_json("report.json", report.as_json())
         section = _inspect(session, run, recorded)
-        folder.write_text("report.md", "\n".join([scan_report.markdown(made), *section]))
-        _draw(run, folder, cell, recorded, made, results)
-    return made
+        folder.write_text("report.md", "\n".join([scan_report.markdown(report), *section]))
+        _draw(run, folder, cell, recorded, report, results)
+    return report
 
 
 def _measure(
@@ -234,13 +234,13 @@ def _inspect(session: Session[ExecutionFolder], run: Run, recorded: RecordedExec
     plan, folder = read_plan(run), session.folder
     if plan is None or not recorded.scans:
         return []
-    done = inspect_execution(plan, run.reference, run, recorded)
+    inspection = inspect_execution(plan, run.reference, run, recorded)
     source = run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None
-    done.write(lambda name, content: folder.write_bytes(name, [content]), source)
-    for each in done.result.characteristics:
+    inspection.write(lambda name, content: folder.write_bytes(name, [content]), source)
+    for each in inspection.result.characteristics:
         if each.verdict == "fail":
             session.note(f"{each.name} fails: {each.value:.4f} {each.unit}, U {each.expanded_uncertainty:.4f}")
-    return done.section()
+    return inspection.section()
 
 
 def options_of(recorded: RecordedExecution) -> ScanOptions:
@@ -273,8 +273,8 @@ def _draw(
     canvas = canvas_of(cell.reference, achieved.surface.samples)
     names = {scan_name(scan.stop) for scan in scans}
     used = replace(recorded, scans=tuple(scan for scan in recorded.scans if scan.name in names))
-    done = Execution(folder.path, Manifest(), report)  # its manifest is not written yet
-    folder.write_text(run_pages.PAGE_FILE, run_pages.execution_page(run, used, done, (canvas, achieved.surface)))
+    execution = Execution(folder.path, Manifest(), report)  # its manifest is not written yet
+    folder.write_text(run_pages.PAGE_FILE, run_pages.execution_page(run, used, execution, (canvas, achieved.surface)))
     if not scans:
         folder.remove("views.png")
         folder.remove("cover.png")
@@ -419,7 +419,7 @@ def merge_scans(
         keep = ~_is_outlier(nearest, cloud)
         if not keep.all():
             parts = np.split(keep, np.cumsum([len(each) for each in clouds])[:-1])
-            clouds = [ScanCloud(each.points[own], each.sensor) for each, own in zip(clouds, parts, strict=True)]
+            clouds = [ScanCloud(each.points[rows], each.sensor) for each, rows in zip(clouds, parts, strict=True)]
             cloud, after = merge(clouds), _rms_distance(nearest, clouds)
     stop = np.array([scan.stop for scan in scans], dtype=np.int32)[cloud.scan]
     return MergedScans(cloud, stop, tuple(poses), registration, before, after, count - len(cloud), fit)
@@ -434,10 +434,10 @@ def point_sigma(merged: MergedScans, scans: Sequence[ExecutedScan], scanner: Sca
     sigma = np.full(len(merged.cloud), np.nan)
     law = getattr(scanner, "sigma", None)
     for number, (scan, T) in enumerate(zip(scans, merged.poses, strict=True)):
-        own = merged.cloud.scan == number
-        if callable(law) and len(scan.T_reported_poses) == 1 and own.any():
+        is_of_scan = merged.cloud.scan == number
+        if callable(law) and len(scan.T_reported_poses) == 1 and is_of_scan.any():
             R, t = T[:3, :3], T[:3, 3]
-            sigma[own] = law((merged.cloud.points[own] - t) @ R, merged.cloud.normals[own] @ R)
+            sigma[is_of_scan] = law((merged.cloud.points[is_of_scan] - t) @ R, merged.cloud.normals[is_of_scan] @ R)
     sigma[~np.isfinite(sigma)] = np.nan
     return sigma
 
@@ -461,8 +461,8 @@ def _rms_distance(nearest: ClosestPointQuery, clouds: Sequence[ScanCloud]) -> fl
     points = np.concatenate([np.empty((0, 3)), *(cloud.points for cloud in clouds)])
     if not len(points):
         return float("nan")
-    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _CLOUD_SAMPLES)).astype(np.int64)]
-    return float(np.sqrt(np.mean(nearest.closest(chosen).distance ** 2)))
+    samples = points[np.linspace(0, len(points) - 1, min(len(points), _CLOUD_SAMPLES)).astype(np.int64)]
+    return float(np.sqrt(np.mean(nearest.closest(samples).distance ** 2)))
 
 
 def executed_poses(scans: Sequence[ExecutedScan], merged: MergedScans) -> list[Floats]:
@@ -599,13 +599,13 @@ def _region_values(cell: RunCell, achieved: AchievedCoverage) -> tuple[ExecutedR
     of_sample = achieved.surface.samples.region
     if of_sample is None:
         return None
-    times, found = achieved.surface.seen.sum(axis=1), []
+    times, regions = achieved.surface.seen.sum(axis=1), []
     for number, region in enumerate(cell.scene.regions or ()):
-        own, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
-        if len(own):
-            visible, enough = float((own > 0).mean()), float((own >= views).mean())
-            found.append(ExecutedRegion(name=region.name, visible=visible, views=views, satisfied_share=enough))
-    return tuple(found)
+        region_times, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
+        if len(region_times):
+            visible, enough = float((region_times > 0).mean()), float((region_times >= views).mean())
+            regions.append(ExecutedRegion(name=region.name, visible=visible, views=views, satisfied_share=enough))
+    return tuple(regions)
 
 
 def _view_values(k: int, scan: ExecutedScan, results: ExecutionResults) -> ExecutedView:

@@ -20,7 +20,7 @@ from planner.path import path
 from planner.ports import CollisionChecker, JointLimits
 from planner.values import Floats
 
-_NAMED = 10  # views named in a note
+_N_LISTED = 10  # views named in a note
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,25 +35,29 @@ class RemainingMotion:
     plan: ExecutionPlan
     approach_path: Floats | None
 
-    def notes(self, done: int, checker: MujocoCollisionChecker) -> list[str]:
-        """Return notes about the views and the approach path; `done` views are confirmed."""
+    def notes(self, n_scanned: int, checker: MujocoCollisionChecker) -> list[str]:
+        """Return notes about the views and the approach path; `n_scanned` views are confirmed."""
         stops = self.plan.stops
-        listed = ", ".join(str(stop) for stop in stops[:_NAMED]) + (", ..." if len(stops) > _NAMED else "")
-        notes = [f"{done} views are scanned already; {len(stops)} remain" + (f" ({listed})" if listed else "")]
+        stop_list = ", ".join(str(stop) for stop in stops[:_N_LISTED]) + (", ..." if len(stops) > _N_LISTED else "")
+        notes = [
+            f"{n_scanned} views are scanned already; {len(stops)} remain" + (f" ({stop_list})" if stop_list else "")
+        ]
         if self.approach_path is not None:
             goal = f"view {stops[0]}" if stops else "home"
             moves = len(self.approach_path) - 1
-            found = clearance.motion_clearance(checker, self.approach_path, np.zeros(moves + 1, dtype=np.int64), 1)
+            path_clearance = clearance.motion_clearance(
+                checker, self.approach_path, np.zeros(moves + 1, dtype=np.int64), 1
+            )
             notes.append(
                 f"the arm is not where the plan continues; a new path to {goal} was planned: {moves} moves, nearest "
-                f"{1000 * found.distance[0]:.1f} mm ({found.between[0] or 'nothing near'})"
+                f"{1000 * path_clearance.distance[0]:.1f} mm ({path_clearance.between[0] or 'nothing near'})"
             )
         return notes
 
 
 def plan_resume(
     plan: ExecutionPlan,
-    done: Collection[int],
+    scanned_stops: Collection[int],
     state: RobotState,
     checker: CollisionChecker,
     limits: JointLimits,
@@ -63,7 +67,7 @@ def plan_resume(
 
     Args:
         plan: the segments of the execution.
-        done: numbers of the confirmed views.
+        scanned_stops: numbers of the confirmed views.
         state: of the controller; the arm is at rest.
         checker: of the cell that the plan was checked in.
         limits: of the plan.
@@ -75,25 +79,26 @@ def plan_resume(
     segments = plan.segments
     # A sweep has several segments and is repeated from the first.
     first = next(
-        (index for index, segment in enumerate(segments) if segment.stop and segment.stop not in done),
+        (index for index, segment in enumerate(segments) if segment.stop and segment.stop not in scanned_stops),
         next((index for index, segment in enumerate(segments) if not segment.stop), len(segments)),
     )
     # Later confirmed views (the scan of an earlier one is damaged) are passed without a scan.
-    rest = tuple(
-        replace(segment, stop=0, view=-1, pose=0) if segment.stop in done else segment for segment in segments[first:]
+    remaining_segments = tuple(
+        replace(segment, stop=0, view=-1, pose=0) if segment.stop in scanned_stops else segment
+        for segment in segments[first:]
     )
-    if not rest:
+    if not remaining_segments:
         return RemainingMotion(ExecutionPlan(state.q, (), 0.0), None)
     before = segments[first - 1].via[-1] if first else plan.start
     approach: Floats | None = None
     if not is_at(before, state):
-        segment = rest[0]
+        segment = remaining_segments[0]
         if is_at(segment.via[-1], state):  # it arrived, and the scan was lost
-            rest = (replace(segment, via=segment.via[-1:]), *rest[1:])
+            remaining_segments = (replace(segment, via=segment.via[-1:]), *remaining_segments[1:])
         else:
             approach = _approach_path(segment, state, checker, limits, seed)
-            rest = (replace(segment, via=approach[1:]), *rest[1:])
-    return RemainingMotion(ExecutionPlan(state.q, rest, plan.planned_seconds), approach)
+            remaining_segments = (replace(segment, via=approach[1:]), *remaining_segments[1:])
+    return RemainingMotion(ExecutionPlan(state.q, remaining_segments, plan.planned_seconds), approach)
 
 
 def _approach_path(
@@ -106,13 +111,13 @@ def _approach_path(
             f"the arm is at {format_axes(state.axes)}, outside the joint range of the plan, where no path is checked; "
             "nothing was moved: drive the arm by hand to a collision-free position, or home, and resume again"
         )
-    found = path.connect(here, segment.via[-1], checker, limits, np.random.default_rng([seed, segment.stop]))
-    if found.via is None:
+    result = path.connect(here, segment.via[-1], checker, limits, np.random.default_rng([seed, segment.stop]))
+    if result.via is None:
         blocker = next(iter((*checker.contacts(here), *checker.contacts(segment.via[-1]))), "")
         near = f" ({blocker})" if blocker else ""
         raise DriverFailureError(
             f"no path from the current position {format_axes(state.axes)} to {segment.goal}: "
-            f"{found.status.sentence}{near}; nothing was moved: drive the arm by hand to a collision-free "
+            f"{result.status.sentence}{near}; nothing was moved: drive the arm by hand to a collision-free "
             "position, or home, and resume again"
         )
-    return found.via
+    return result.via

@@ -98,7 +98,7 @@ def speed_fraction(requested: float | None, planned: float, *, hardware: bool) -
 
 
 def require_confirmation(
-    driver: Driver, speed: float, motion: ApprovedMotion, *, given: str | None, confirm: Confirm | None
+    driver: Driver, speed: float, motion: ApprovedMotion, *, confirmation: str | None, confirm: Confirm | None
 ) -> None:
     """Require that a person confirms a motion of a real arm.
 
@@ -106,22 +106,26 @@ def require_confirmation(
         driver: connected.
         speed: fraction of the axis speeds.
         motion: to be driven.
-        given: digest from an option, or its first characters; or `ANY_MOTION`.
+        confirmation: digest from an option, or its first characters; or `ANY_MOTION`.
         confirm: asks the user; None without a user.
 
     Raises:
         UsageError: without a confirmation, or if it is for another motion.
     """
     able = driver.capabilities
-    if not able.hardware or given == ANY_MOTION or (given is not None and motion.digest.startswith(given)):
+    if (
+        not able.hardware
+        or confirmation == ANY_MOTION
+        or (confirmation is not None and motion.digest.startswith(confirmation))
+    ):
         return
     name, digest = motion.description, motion.short_digest
     danger = f"{able.controller} moves an arm at {100 * speed:g} % of its axis speeds along {name} {digest}"
     danger += f"; it does not report {able.not_reported}" if able.not_reported else ""
-    if given is not None and not (motion.is_own_path and confirm is not None):
+    if confirmation is not None and not (motion.is_own_path and confirm is not None):
         raise UsageError(
-            f"--confirm-motion {given} is not the digest of {name}, which is {digest}; nothing was moved: check that "
-            "this motion is intended, and give its digest"
+            f"--confirm-motion {confirmation} is not the digest of {name}, which is {digest}; nothing was moved: check "
+            "that this motion is intended, and give its digest"
         )
     if confirm is None:
         raise UsageError(

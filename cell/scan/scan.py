@@ -98,13 +98,13 @@ def execute_run(
             driver, _ = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
             require_drivable(plan, driver, speed)
         digest = approved.digest if approved.is_own_path else None
-        made = ExecutionFolder.make(run, list(session.origin.argv), seed, stored, datetime.now(UTC), digest)
-        stack.enter_context(safety.exclusive(made.path))
+        execution_folder = ExecutionFolder.make(run, list(session.origin.argv), seed, stored, datetime.now(UTC), digest)
+        stack.enter_context(safety.exclusive(execution_folder.path))
         if options.view is not None:
-            write_motion(made, plan.to_motion(motion))
-        stack.enter_context(made.keep_on_failure())
+            write_motion(execution_folder, plan.to_motion(motion))
+        stack.enter_context(execution_folder.keep_on_failure())
         stack.enter_context(driver_errors())
-        opened = session.opened(made, seed)
+        opened = session.opened(execution_folder, seed)
         execute_plan(opened, plan, driver, clock, cell, speed)
         return finalise(opened, run, cell)
 
@@ -143,19 +143,19 @@ def _resume(
     finalise: Finalise[Outcome],
     folder: Path,
     execution: str,
-    given: ScanOptions,
+    user_options: ScanOptions,
     true_part: TriangleMesh | None,
 ) -> Outcome:
     verified = verify_plan(folder)
     run, motion = verified.run, verified.motion
     recorded = read_execution(run, execution)
     scans, unusable = usable_scans(recorded, verified.plan.views)
-    options = resumable_options(run, recorded).resumed(given)
+    options = resumable_options(run, recorded).resumed(user_options)
     require_current_scene(verified, options, session.reporter, wire=options.uses_wire)
     cell = _cell(run, options, true_part)
     seed = recorded.manifest.require_seed(recorded.folder)
-    plan, done = plan_execution(motion, options.view), {scan.stop for scan in scans}
-    if recorded.manifest.status == "finished" and done >= set(plan.stops):
+    plan, scanned_stops = plan_execution(motion, options.view), {scan.stop for scan in scans}
+    if recorded.manifest.status == "finished" and scanned_stops >= set(plan.stops):
         raise UsageError(f"execution {recorded.folder.name} is finished and complete; there is nothing to resume")
     for sentence in unusable:
         session.note(sentence)
@@ -175,13 +175,13 @@ def _resume(
                 _confirmed_speed(session, driver, options, cell, approved)
             state = safety.prepare_controller(driver, options, stop_first=True)
             driver, state = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
-            remaining = plan_resume(plan, done, state, verified.checker, motion.limits, seed)
+            remaining = plan_resume(plan, scanned_stops, state, verified.checker, motion.limits, seed)
             approach: dict[str, object] = {}
             if remaining.approach_path is not None:
                 approved = safety.approve_path(verified, remaining.plan, "the new path and the rest of the plan")
                 degrees = to_deg(from_rad(remaining.approach_path)).tolist()
                 approach = {"path_digest": approved.digest, "path_deg": tuple(map(tuple, degrees))}
-            for sentence in remaining.notes(len(done), verified.checker):
+            for sentence in remaining.notes(len(scanned_stops), verified.checker):
                 session.note(sentence)
             # The confirmation comes after these notes, so that the person has read the path.
             speed = _confirmed_speed(session, driver, options, cell, approved)
@@ -231,7 +231,7 @@ def _confirmed_speed(
     """Return the speed fraction after the confirmation of a real arm's motion."""
     hardware, planned = driver.capabilities.hardware, cell.scene.speed_scaling
     speed = safety.speed_fraction(options.speed, planned, hardware=hardware)
-    safety.require_confirmation(driver, speed, motion, given=options.confirm_motion, confirm=session.confirm)
+    safety.require_confirmation(driver, speed, motion, confirmation=options.confirm_motion, confirm=session.confirm)
     return speed
 
 

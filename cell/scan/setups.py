@@ -120,45 +120,45 @@ def scan_setups(
     for number in remaining if setup is None else [setup]:
         run, placement = folders[number - 1], _describe_placement(planned, number)
         session.note(placement)
-        asking = _with_placement(session, placement)
+        setup_session = _with_placement(session, placement)
         stopped = _stopped_execution(run) if resumed else None
         if stopped is not None:
-            chosen = _recorded_options(run, stopped, options)
-            done = resume(asking, run, stopped, options)
+            execution_options = _recorded_options(run, stopped, options)
+            outcome = resume(setup_session, run, stopped, options)
         else:
-            chosen = _new_options(planned, number, options, resumed=resumed)
-            done = scan(asking, run, chosen)
-        if missing := done.report.missing_views:
+            execution_options = _new_options(planned, number, options, resumed=resumed)
+            outcome = scan(setup_session, run, execution_options)
+        if missing := outcome.report.missing_views:
             raise FileError(
                 f"view {missing[0]} of set-up {number} has no points ({len(missing)} such views); "
                 f"cell scan {folder} --resume latest scans them"
             )
-        if not chosen.is_simulated or (chosen.uses_wire and session.confirm is None):
+        if not execution_options.is_simulated or (execution_options.uses_wire and session.confirm is None):
             break
     return combine_setups(session, planned)
 
 
-def _new_options(planned: SetupsRun, number: int, given: ScanOptions | None, *, resumed: bool) -> ScanOptions:
+def _new_options(planned: SetupsRun, number: int, user_options: ScanOptions | None, *, resumed: bool) -> ScanOptions:
     """Return the options of a new execution: the given ones, or in a resumed sequence those of the set-up before."""
     if not resumed:
-        return given or ScanOptions()
+        return user_options or ScanOptions()
     for before in range(number - 1, 0, -1):
         name = complete_execution(planned.folders[before - 1])
         if name is not None:
-            options = _recorded_options(planned.folders[before - 1], name, given)
+            options = _recorded_options(planned.folders[before - 1], name, user_options)
             if options.acquire.startswith("files:"):
                 raise UsageError(
                     f"{options.acquire} has the points of set-up {before}; run cell scan {planned.folder} "
                     f"--setup {number} with --acquire for the points of set-up {number}"
                 )
             return options
-    return given or ScanOptions()
+    return user_options or ScanOptions()
 
 
-def _recorded_options(folder: Path, execution: str, given: ScanOptions | None) -> ScanOptions:
+def _recorded_options(folder: Path, execution: str, user_options: ScanOptions | None) -> ScanOptions:
     """Return the options of an execution, as a resume with the given options would use them."""
     manifest = read_execution(open_finished(folder), execution).manifest
-    return ScanOptions.from_manifest(manifest.options).resumed(given or ScanOptions())
+    return ScanOptions.from_manifest(manifest.options).resumed(user_options or ScanOptions())
 
 
 def _stopped_execution(folder: Path) -> str | None:
@@ -192,14 +192,14 @@ def _with_placement(session: Session[None], placement: str) -> Session[None]:
 
 def _describe_placement(planned: SetupsRun, number: int) -> str:
     """Describe the placement of the part; raise FileError if the folder has another plan than setups.json names."""
-    chosen, folder = planned.file.selected[number - 1], planned.folders[number - 1]
+    setup, folder = planned.file.selected[number - 1], planned.folders[number - 1]
     run = open_finished(folder)
-    if run.digest != chosen.digest:
+    if run.digest != setup.digest:
         raise FileError(
             f"{folder} is not the plan that setups.json names, so the placement of its part is not known; nothing was "
             "moved: plan the set-ups again"
         )
-    candidate = planned.file.candidates[chosen.candidate]
+    candidate = planned.file.candidates[setup.candidate]
     xyz, abc = comma_list(candidate.placement_mm), comma_list(candidate.placement_abc_deg)
     table = "" if run.scene.table is None else ", the rotary table at 0"
     return (
@@ -316,8 +316,10 @@ def _register_bodies(
     """Register all bodies to the reference and to each other if one of them was localised."""
     if len(bodies) < 2 or all(body.merged.fit is None for body in bodies):
         return bodies, None
-    found = register([body.merged.cloud for body in bodies], nearest, samples=_SAMPLES // len(bodies))
-    return [body.transformed(scan.T_correction) for body, scan in zip(bodies, found.scans, strict=True)], found
+    registration = register([body.merged.cloud for body in bodies], nearest, samples=_SAMPLES // len(bodies))
+    return [
+        body.transformed(scan.T_correction) for body, scan in zip(bodies, registration.scans, strict=True)
+    ], registration
 
 
 def _write_combined(
@@ -397,7 +399,7 @@ def _inspect(
         for body, (along, about) in zip(bodies, placements, strict=True)
     ]
     is_simulated = all(scan.T_true is not None for body in bodies for scan in body.scans)
-    done = inspect_points(
+    inspection = inspect_points(
         plan,
         nearest.mesh,
         points_of_setups(parts, placements),
@@ -412,11 +414,11 @@ def _inspect(
             *(() if is_exact else (REGISTERED,)),
         ),
     )  # fmt: skip
-    done.write(
+    inspection.write(
         lambda name, content: folder.write_bytes(name, [content]),
         run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None,
     )
-    return done.section()
+    return inspection.section()
 
 
 def _setup_values(bodies: Sequence[_ScannedBody], measured: Mapping[int, Bools]) -> list[ScannedSetup]:
@@ -443,7 +445,7 @@ def _combined_cloud(bodies: Sequence[_ScannedBody]) -> tuple[PointCloud, NDArray
 def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], samples: SurfaceSamples) -> UnmeasuredShares:
     """Return the uncovered surface by cause; each sample counts once, for the first cause that applies."""
     uncovered = ~np.logical_or.reduce(list(measured.values()))
-    remaining, lost, touched = np.zeros_like(uncovered), np.zeros_like(uncovered), np.ones_like(uncovered)
+    remaining, missed, touched = np.zeros_like(uncovered), np.zeros_like(uncovered), np.ones_like(uncovered)
     for number, folder in enumerate(planned.folders, start=1):
         run = open_finished(folder)
         cell = read_cell(run)
@@ -451,11 +453,11 @@ def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], sampl
         expected = _measured_by(cell, [view.T_object_poses for view in run.plan.views], samples) & ~touches
         touched &= touches
         if number in measured:
-            lost |= expected
+            missed |= expected
         else:
             remaining |= expected
     shares = []
-    for cause in (remaining, lost, touched, uncovered):
+    for cause in (remaining, missed, touched, uncovered):
         shares.append(float((uncovered & cause).mean()))
         uncovered = uncovered & ~cause
     return UnmeasuredShares(not_scanned=shares[0], not_measured=shares[1], in_contact=shares[2], not_planned=shares[3])

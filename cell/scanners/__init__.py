@@ -129,8 +129,8 @@ def make(name: str, values: Values) -> ScannerPlugin:
         json.dumps(parameters, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{plugin} has invalid parameters(): {error}; it must return a dict of JSON types") from error
-    made: ScannerPlugin = scanner
-    return made
+    result: ScannerPlugin = scanner
+    return result
 
 
 def describe(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
@@ -141,14 +141,14 @@ def describe(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
 def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
     """Return the scanner's part of the key of a matrix: `describe`, and the version of a third-party distribution."""
     point = _entry_point(name)
-    own = point.dist is not None and point.dist.name == "scan-cell"  # the cache has a format number for these
-    return describe(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})
+    is_built_in = point.dist is not None and point.dist.name == "scan-cell"  # the cache has a format number for these
+    return describe(name, scanner) | ({} if is_built_in else {"distribution": _distribution(point), "law": point.value})
 
 
 def with_own_parameters(values: Values, scanner: ScannerPlugin) -> Values:
     """Return the arguments of a scanner, and the parameters that it chose itself, such as the length of its sweep."""
-    own = scanner.parameters()
-    return {**values, **{key: value for key, value in own.items() if key not in values and key != "type"}}
+    parameters = scanner.parameters()
+    return {**values, **{key: value for key, value in parameters.items() if key not in values and key != "type"}}
 
 
 def sweep_columns(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
@@ -188,14 +188,14 @@ def _installed(find: Callable[..., EntryPoints], path: tuple[str, ...]) -> tuple
 
 def _entry_point(name: str) -> EntryPoint:
     """Return the entry point of a name."""
-    found = [point for point in _installed(entry_points, tuple(sys.path)) if point.name == name]
-    if not found:
+    points = [point for point in _installed(entry_points, tuple(sys.path)) if point.name == name]
+    if not points:
         valid = ", ".join(names()) or "none (is scan-cell installed?)"
         raise SceneError(f"scanner type '{name}' is not installed; valid are: {valid}")
-    if len({point.value for point in found}) > 1:
-        offers = " and ".join(f"{_distribution(point)} ({point.value})" for point in found)
+    if len({point.value for point in points}) > 1:
+        offers = " and ".join(f"{_distribution(point)} ({point.value})" for point in points)
         raise SceneError(f"scanner type '{name}' is offered by {offers}; uninstall all but one")
-    return found[0]
+    return points[0]
 
 
 def _distribution(point: EntryPoint) -> str:

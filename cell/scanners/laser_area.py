@@ -96,8 +96,8 @@ class LaserArea:
         for names, is_valid, rule in _LIMITS:
             for name in names:
                 if (value := getattr(self, name)) is not None and not is_valid(value):
-                    shown = list(value) if isinstance(value, tuple) else f"{value:g}"
-                    raise SceneError(f"scanner.{name} is {shown}; {rule}")
+                    text = list(value) if isinstance(value, tuple) else f"{value:g}"
+                    raise SceneError(f"scanner.{name} is {text}; {rule}")
         both = list(zip(self.fov_deg, self.resolution_deg, strict=True))
         n_h, n_v = (round(fov / step) for fov, step in both)
         if any(step > fov for fov, step in both):
@@ -229,8 +229,8 @@ class LaserArea:
             in_x = np.sqrt((1 - x * k) ** 2 + (y * k) ** 2 + (z * k) ** 2)
             in_y = np.sqrt((x * m) ** 2 + (1 - y * m) ** 2 + (z * m) ** 2)
             step_x, step_y = (math.radians(fov) / n for fov, n in zip(self.fov_deg, self._shape[::-1], strict=True))
-            found = np.maximum(step_x * (z + x * x / z) * in_x, step_y * (z + y * y / z) * in_y)
-        return np.where((z > 0) & (along < 0), found, np.inf)
+            spacing = np.maximum(step_x * (z + x * x / z) * in_x, step_y * (z + y * y / z) * in_y)
+        return np.where((z > 0) & (along < 0), spacing, np.inf)
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
         """Compute the expected standard deviation (N,) of measured points along the ray from the source [m].

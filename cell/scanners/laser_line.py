@@ -184,8 +184,8 @@ class LaserLine:
             half = self._sweep_length / self.sweep_steps / 2
             near = np.abs(points[:, 0]) <= half + TOLERANCE * (np.abs(points[:, 2]) + half)
             codes = np.full(len(points), Rejection.OUT_OF_FOV, dtype=np.uint8)
-            found = np.flatnonzero(near)
-            codes[found] = self._law.reject(points[found], normals[found])
+            rows = np.flatnonzero(near)
+            codes[rows] = self._law.reject(points[rows], normals[rows])
         else:
             codes = self._law.reject(points, normals)
         codes[codes == Rejection.OUT_OF_DEPTH] = Rejection.OUT_OF_RANGE  # the depth is this sensor's range
@@ -221,8 +221,8 @@ class LaserLine:
             along = math.radians(self.fan_deg) / self.line_points * r * r * np.hypot(n_y, n_z) / towards
             across = np.sqrt(1 + (r * n_x / towards) ** 2) / self.profile_rate_hz
             across *= DEFAULT_SPEED.linear if self.sweep_deg is None else DEFAULT_SPEED.angular * z
-            found: Floats = np.where(towards > 0, np.maximum(along, across), np.inf)
-        return found
+            spacing: Floats = np.where(towards > 0, np.maximum(along, across), np.inf)
+        return spacing
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
         """Compute the expected standard deviation (N,) along the ray from the source [m], as for `laser-area`."""

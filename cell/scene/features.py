@@ -110,7 +110,7 @@ def feature_contradiction(features: tuple[FeatureTable, ...]) -> str:
             return f"holds the {what} '{twice}' more than once; every feature needs its own"
     for feature in features:
         for each in feature.characteristic:
-            if missing := [own for datum in each.datums for own in datum.split("-") if own not in letters]:
+            if missing := [letter for datum in each.datums for letter in datum.split("-") if letter not in letters]:
                 known = ", ".join(letters) or "none"
                 return f"'{feature.name}' refers to the datum {missing[0]}, which no feature has; datums: {known}"
             if each.to is not None and each.to not in names:

@@ -61,9 +61,9 @@ def existing_file(path: str, info: ValidationInfo, kind: str = "a mesh file") ->
     folder = Path((info.context or {}).get("folder", Path.cwd()))
     try:
         full = folder / Path(path).expanduser()
-        found = full.is_file()
+        exists = full.is_file()
     except (OSError, ValueError, RuntimeError):  # too long, a zero byte, the home folder of an unknown user
         raise ValueError(f"is no valid file name; give {kind}, relative to the scene file") from None
-    if not found:
+    if not exists:
         raise ValueError(f"is '{path}', and there is no file {full}; give {kind}, relative to the scene file")
     return str(full)

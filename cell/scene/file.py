@@ -92,8 +92,8 @@ def option_names(tables: Mapping[str, Mapping[str, object]], spell: Spell = str)
     """Return the user's spelling of the keys of `option_tables`, for the messages of `load_scene`."""
     known = {key: spell(spec.name) for spec in option_specs(Scene).values() for key in spec.fields}
     known |= {"part.path": "the part", "part.name": "the part"}
-    given = (f"{table}.{key}" for table, keys in tables.items() for key in keys)
-    return {key: known[key] for key in given if key in known}
+    names = (f"{table}.{key}" for table, keys in tables.items() for key in keys)
+    return {key: known[key] for key in names if key in known}
 
 
 def _part_table(name_or_path: str) -> dict[str, object]:

@@ -131,9 +131,11 @@ class Mount(Posed):
         import numpy as np  # the start-up of the command line does without it
 
         replaced = {"matrix_mm": ("position_mm", "abc_deg", "quaternion"), "quaternion": ("abc_deg",)}
-        for key, others in replaced.items():
-            if getattr(self, key) is not None and (given := [each for each in others if each in self.model_fields_set]):
-                raise ValueError(f".{key} is given together with {given[0]}; give the pose in one form")
+        for key, alternatives in replaced.items():
+            if getattr(self, key) is not None and (
+                conflicts := [each for each in alternatives if each in self.model_fields_set]
+            ):
+                raise ValueError(f".{key} is given together with {conflicts[0]}; give the pose in one form")
         if self.quaternion is not None and abs(float(np.linalg.norm(self.quaternion)) - 1) > _ROTATION_TOLERANCE:
             raise ValueError(
                 f".quaternion has the length {np.linalg.norm(self.quaternion):.4g}; it must be 1 (w, x, y, z)"
@@ -159,8 +161,8 @@ class Mount(Posed):
 
         T = np.eye(4)
         if self.matrix_mm is not None:
-            given = np.array(self.matrix_mm, dtype=np.float64)
-            T[:3, :3], T[:3, 3] = Rotation.from_matrix(given[:3, :3]).as_matrix(), given[:3, 3] / 1000
+            matrix = np.array(self.matrix_mm, dtype=np.float64)
+            T[:3, :3], T[:3, 3] = Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / 1000
         elif self.quaternion is not None:
             rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
             T[:3, :3], T[:3, 3] = rotation.as_matrix(), np.array(self.position_mm) / 1000
@@ -246,8 +248,8 @@ class MeshFixture(NamedFixture):
     @model_validator(mode="before")
     @classmethod
     def _of_its_format(cls, table: Any) -> Any:
-        own = own_units(str(table.get("path"))) if isinstance(table, dict) else None
-        return {"units": own, **table} if own is not None else table
+        units = own_units(str(table.get("path"))) if isinstance(table, dict) else None
+        return {"units": units, **table} if units is not None else table
 
     @field_validator("path")
     @classmethod
@@ -514,8 +516,8 @@ class PlanSettings(PlanKeys):
 
     def with_views(self, views: Sequence[int], n_candidates: int) -> Self:
         """Return settings that select exactly these of the candidates."""
-        others = tuple(sorted(set(range(n_candidates)).difference(views)))
-        return self.without_selection().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
+        banned = tuple(sorted(set(range(n_candidates)).difference(views)))
+        return self.without_selection().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": banned})
 
     def with_order_of(self, other: Self) -> Self:
         """Return the settings with the overlap of other ones, if the order of visits has to keep it."""
@@ -553,15 +555,15 @@ def _plan_contradiction(plan: PlanSettings) -> str:
         "pose_sd_mm" if plan.pose_sd_mm > 0 else "pose_sd_deg": has_errors,
         "cost": plan.cost == "time",
     }
-    given = [key for key, is_given in requests.items() if is_given]
-    if len(given) > 1 and given != ["multiplicity", "cost"]:
-        return f"{given[0]} and plan.{given[1]} cannot be combined; give one of them"
+    keys = [key for key, is_given in requests.items() if is_given]
+    if len(keys) > 1 and keys != ["multiplicity", "cost"]:
+        return f"{keys[0]} and plan.{keys[1]} cannot be combined; give one of them"
     if plan.max_views is not None and plan.coverage < 1 and "coverage" in plan.model_fields_set:
         return "max_views and plan.coverage both limit the plan; give one of them"
     if plan.max_views is not None and len(plan.pinned) > plan.max_views:
         return f"max_views is {plan.max_views} and {len(plan.pinned)} views are pinned; allow more or pin fewer"
-    if given and given[0] not in ("multiplicity", "cost") and plan.solver != "auto":
-        return f"solver is '{plan.solver}', and plan.{given[0]} has its own search; use the solver 'auto'"
+    if keys and keys[0] not in ("multiplicity", "cost") and plan.solver != "auto":
+        return f"solver is '{plan.solver}', and plan.{keys[0]} has its own search; use the solver 'auto'"
     if plan.overlap_in_order and not has_overlap:
         return "overlap_in_order needs an overlap; give plan.overlap_mm2 or plan.overlap_share"
     if has_errors and plan.fill == "rays":
@@ -747,10 +749,10 @@ def scanner_keys(kind: str) -> tuple[str, ...] | None:
     """
     from cell import scanners
 
-    own = scanners.keys(kind)
-    if own is None:
+    type_keys = scanners.keys(kind)
+    if type_keys is None:
         return None
-    return (*_COMMON_SCANNER_KEYS, *own, *((_RAY_GRID_KEY,) if "resolution_deg" in own else ()))
+    return (*_COMMON_SCANNER_KEYS, *type_keys, *((_RAY_GRID_KEY,) if "resolution_deg" in type_keys else ()))
 
 
 def _fill_in_sensor(content: dict[str, object]) -> list[InitErrorDetails]:
@@ -800,7 +802,7 @@ def _reraisable(detail: ErrorDetails) -> InitErrorDetails:
     return error
 
 
-_SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
+_CELL_OBJECTS = ("robot", "scanner", "post", "pedestal", "floor")
 
 _REPORT = "Output"
 
@@ -922,8 +924,8 @@ class Part(Table):
         if path is not None and (why := units_problem(path, units)):
             raise ValueError(f"is given for {path}, which {why}")
         if path is not None and units is None:
-            if (own := own_units(path)) is not None:
-                return own
+            if (file_units := own_units(path)) is not None:
+                return file_units
             raise ValueError("is missing; give the unit of the file: mm, cm, m, um or in")
         if path is None and units is not None:
             raise ValueError("is given for a built-in part, which has its own size; omit it, or give part.path")
@@ -958,7 +960,7 @@ class Picture(Table):
             "Objects that this picture leaves out: fixtures, robot, scanner, post, pedestal or floor.",
             _REPORT,
             metavar="NAME[,NAME...]",
-            made=lambda texts: [each for text in texts for each in text.split(",")],
+            convert=lambda texts: [each for text in texts for each in text.split(",")],
         ),
     ] = ()
 
@@ -1040,7 +1042,7 @@ class Scene(Table):
     @field_validator("picture")
     @classmethod
     def _hides_known_objects(cls, picture: Picture, info: ValidationInfo) -> Picture:
-        known = [*_SHOWN, *(fixture.name for fixture in info.data.get("fixtures", ()))]
+        known = [*_CELL_OBJECTS, *(fixture.name for fixture in info.data.get("fixtures", ()))]
         for name in picture.hide:
             if name not in known:
                 raise ValueError(f".hide names '{name}', which this cell does not have; it has: {', '.join(known)}")

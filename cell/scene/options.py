@@ -44,7 +44,7 @@ class Option:
         examples: valid texts.
         counts: valid numbers of values; they fill several fields in order.
         separator: between values.
-        made: converts the values to the value of the field; raises ValueError for invalid ones.
+        convert: converts the values to the value of the field; raises ValueError for invalid ones.
     """
 
     help: str
@@ -56,7 +56,7 @@ class Option:
     examples: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()
     separator: str = ","
-    made: Callable[[Sequence[Any]], Sequence[Any]] | None = None
+    convert: Callable[[Sequence[Any]], Sequence[Any]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +112,8 @@ class OptionSpec:
     def help(self) -> str:
         """Purpose, limits or choices, and default."""
         kind, default = self.kind, self._default()
-        named = all(choice in self.option.help for choice in kind.choices)
-        valid = kind.limits if named else f"one of {', '.join(kind.choices)}"
+        has_choices = all(choice in self.option.help for choice in kind.choices)
+        valid = kind.limits if has_choices else f"one of {', '.join(kind.choices)}"
         facts = "; ".join(fact for fact in ("" if self.by_unit else valid, default and f"default {default}") if fact)
         return f"{self.option.help} {facts[0].upper()}{facts[1:]}." if facts else self.option.help
 
@@ -134,12 +134,12 @@ def flag(name: str) -> str:
 @cache
 def option_specs(model: type[BaseModel], *names: str) -> Mapping[str, OptionSpec]:
     """Return the options of the fields of a model and its tables, by name: all, or only the given names."""
-    found: dict[str, OptionSpec] = {}
+    specs: dict[str, OptionSpec] = {}
     for key, field, option in _option_fields(model):
         name = option.name or _UNIT.sub("", key.rpartition(".")[2])
-        earlier = found[name].fields if name in found else {}
-        found[name] = OptionSpec(name, option, {**earlier, key: field})
-    return {name: found[name] for name in names or found}
+        earlier = specs[name].fields if name in specs else {}
+        specs[name] = OptionSpec(name, option, {**earlier, key: field})
+    return {name: specs[name] for name in names or specs}
 
 
 def parse_options(model: type[Model], options: Mapping[str, object], spell: Spell = str) -> Model:
@@ -215,17 +215,19 @@ def _kind(annotation: Any, metadata: Sequence[object]) -> Kind:
 def _limits(metadata: Sequence[object]) -> str:
     """Return limits in words: "above 0 to 1", "at least 4"."""
     flat = [item for each in metadata for item in (each.metadata if isinstance(each, FieldInfo) else [each])]
-    found = {word: getattr(each, word) for each in flat for word in ("gt", "ge", "lt", "le") if hasattr(each, word)}
-    low = f"above {found['gt']:g}" if "gt" in found else f"{found['ge']:g}" if "ge" in found else ""
-    high = f"below {found['lt']:g}" if "lt" in found else f"{found['le']:g}" if found.get("le", _MANY) < _MANY else ""
+    bounds = {word: getattr(each, word) for each in flat for word in ("gt", "ge", "lt", "le") if hasattr(each, word)}
+    low = f"above {bounds['gt']:g}" if "gt" in bounds else f"{bounds['ge']:g}" if "ge" in bounds else ""
+    high = (
+        f"below {bounds['lt']:g}" if "lt" in bounds else f"{bounds['le']:g}" if bounds.get("le", _MANY) < _MANY else ""
+    )
     if low and high:
         return f"{low} to {high}"
-    return f"at least {low}" if "ge" in found else low
+    return f"at least {low}" if "ge" in bounds else low
 
 
-def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
+def _field_values(spec: OptionSpec, argument: object) -> dict[str, object]:
     """Return the values of an option by key; ValueError, TypeError or LookupError for one of another form."""
-    value: Any = given.tolist() if hasattr(given, "tolist") else given  # arrays and numbers of NumPy
+    value: Any = argument.tolist() if hasattr(argument, "tolist") else argument  # arrays and numbers of NumPy
     option, kinds, keys = spec.option, spec.kinds, list(spec.fields)
     if isinstance(value, Path) and kinds[0].base is str:
         value = str(value)
@@ -240,15 +242,15 @@ def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
     several = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
     if option.counts and len(several) not in option.counts:
         raise ValueError
-    if option.made is not None:
-        several = list(option.made(several))
+    if option.convert is not None:
+        several = list(option.convert(several))
     if len(keys) == 1:
         return {keys[0]: several}
     values: dict[str, object] = {}
     for key, kind in zip(keys, kinds, strict=True):
-        some, several = several[: kind.length or 1], several[kind.length or 1 :]
-        if some:
-            values[key] = some if kind.length else some[0]
+        parts, several = several[: kind.length or 1], several[kind.length or 1 :]
+        if parts:
+            values[key] = parts if kind.length else parts[0]
     return values
 
 

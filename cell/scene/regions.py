@@ -42,11 +42,11 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     number = np.full(len(part.reference.faces), len(regions), dtype=np.int32)
     free = np.ones(len(number), dtype=np.bool_)
     for k, region in enumerate(regions):
-        own = free & (_selected(region, part, scene) if region.selects else True)
-        if region.selects and not own.any():
+        is_inside = free & (_selected(region, part, scene) if region.selects else True)
+        if region.selects and not is_inside.any():
             raise SceneError(_empty_region(region, part, free))
-        number[own] = k if region.is_measured else -1
-        free &= ~own
+        number[is_inside] = k if region.is_measured else -1
+        free &= ~is_inside
     if not (number >= 0).any():
         raise SceneError("no surface of the part is to be measured; remove care = 'no' from the regions to be measured")
     return replace(part, reference=replace(part.reference, region=number))
@@ -66,11 +66,11 @@ def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
     mesh, parent = part.reference, np.arange(len(part.reference.faces))
     for box in (region.box_mm for region in regions if region.box_mm is not None):
         for k, at in enumerate(box):
-            mesh, own = cut_at_plane(mesh, k % 3, at / 1000)
-            parent = parent[own]
+            mesh, parent_of = cut_at_plane(mesh, k % 3, at / 1000)
+            parent = parent[parent_of]
     if any(region.painted is not None for region in regions):
-        mesh, own = _fine(mesh)
-        parent = parent[own]
+        mesh, parent_of = _fine(mesh)
+        parent = parent[parent_of]
     cad = part.cad and replace(part.cad, of_triangle=part.cad.of_triangle[parent])
     return replace(part, reference=mesh, cad=cad)
 
@@ -90,27 +90,27 @@ def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
 def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
     """Return the triangles (F,) for which all selectors of a region hold."""
     mesh = part.reference
-    found = np.ones(len(mesh.faces), dtype=np.bool_)
+    is_selected = np.ones(len(mesh.faces), dtype=np.bool_)
     if any(key is not None for key in (region.faces, region.kind, region.diameter_above_mm, region.diameter_below_mm)):
         if part.cad is None:
             raise SceneError(
                 f"the region '{region.name}' selects CAD faces, and {part.name} is a mesh, which has none; give the "
                 "part as STEP, or select by a box or a colour"
             )
-        found &= _by_face(region, part.cad)[part.cad.of_triangle]
+        is_selected &= _by_face(region, part.cad)[part.cad.of_triangle]
     if region.box_mm is not None:
         low, high = np.array(region.box_mm).reshape(2, 3) / 1000
-        within = np.zeros(len(found), dtype=np.bool_)
+        within = np.zeros(len(is_selected), dtype=np.bool_)
         within[faces_in_box(mesh, low, high)] = True
-        found &= within
+        is_selected &= within
     if region.colour is not None:
-        found &= _by_colour(region, region.colour, mesh, scene)
-    return found
+        is_selected &= _by_colour(region, region.colour, mesh, scene)
+    return is_selected
 
 
 def _by_face(region: Region, cad: CadModel) -> Bools:
     """Return the CAD faces (N,) with the number, kind and diameter of a region."""
-    found = np.ones(len(cad.faces), dtype=np.bool_)
+    is_selected = np.ones(len(cad.faces), dtype=np.bool_)
     if region.faces is not None:
         numbers = [face.number for face in cad.faces]
         if missing := [number for number in region.faces if number not in numbers]:
@@ -118,15 +118,15 @@ def _by_face(region: Region, cad: CadModel) -> Bools:
                 f"the region '{region.name}' names face {missing[0]}, which the part does not have; cell part lists "
                 f"{numbers[0]} to {numbers[-1]}"
             )
-        found &= np.isin(numbers, region.faces)
+        is_selected &= np.isin(numbers, region.faces)
     if region.kind is not None:
-        found &= np.array([face.kind == region.kind for face in cad.faces])
+        is_selected &= np.array([face.kind == region.kind for face in cad.faces])
     diameter = np.array([np.nan if face.radius is None else 2000 * face.radius for face in cad.faces])
     if region.diameter_below_mm is not None:
-        found &= diameter < region.diameter_below_mm
+        is_selected &= diameter < region.diameter_below_mm
     if region.diameter_above_mm is not None:
-        found &= diameter > region.diameter_above_mm
-    return np.asarray(found)
+        is_selected &= diameter > region.diameter_above_mm
+    return np.asarray(is_selected)
 
 
 def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) -> Bools:
@@ -157,12 +157,12 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
         SceneError: if the scanner has no model of a limited quantity.
     """
     inf = float("inf")
-    own = tuple(
+    region_limits = tuple(
         QualityLimits((each.max_sigma_mm or inf) / 1000, (each.max_spacing_mm or inf) / 1000) for each in regions
     )
-    if all(each == QualityLimits() for each in own):
-        own = ()
-    if max_sigma_mm is None and not own:
+    if all(each == QualityLimits() for each in region_limits):
+        region_limits = ()
+    if max_sigma_mm is None and not region_limits:
         return scanner
     for region in regions:
         for key, quantity in (("max_spacing_mm", "spacing"), ("max_sigma_mm", "sigma")):
@@ -171,4 +171,4 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
                     f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} has no model of "
                     f"its {quantity}; omit the limit, or choose another scanner"
                 )
-    return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)
+    return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, region_limits)

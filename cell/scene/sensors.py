@@ -92,18 +92,18 @@ class Sensor(Table):
     @property
     def keys(self) -> dict[str, float | tuple[float, float]]:
         """Keys of the scene's `[scanner]` that follow from the figures."""
-        own = self.figures
-        fan, span = None, own.range_mm
-        if own.depth_mm and own.width_near_mm and own.width_far_mm:
-            half = (own.width_far_mm - own.width_near_mm) / own.depth_mm / 2
-            near = own.width_near_mm / half / 2
-            fan, span = math.degrees(2 * math.atan(half)), span or (near, near + own.depth_mm)
+        figures = self.figures
+        fan, span = None, figures.range_mm
+        if figures.depth_mm and figures.width_near_mm and figures.width_far_mm:
+            half = (figures.width_far_mm - figures.width_near_mm) / figures.depth_mm / 2
+            near = figures.width_near_mm / half / 2
+            fan, span = math.degrees(2 * math.atan(half)), span or (near, near + figures.depth_mm)
         keys = {
             "fan_deg": fan,
             "range_mm": span,
-            "baseline_mm": own.baseline_mm,
-            "line_points": own.points_per_line,
-            "profile_rate_hz": own.profile_rate_hz,
+            "baseline_mm": figures.baseline_mm,
+            "line_points": figures.points_per_line,
+            "profile_rate_hz": figures.profile_rate_hz,
         }
         return {key: value for key, value in keys.items() if value is not None}
 
@@ -186,14 +186,14 @@ def table_rows() -> list[tuple[str, ...]]:
     heading = ("scanner", "distance", "line", "fan", "range", "baseline", "you give")
     rows: list[tuple[str, ...]] = [heading]
     for sensor in map(load, names()):
-        own, keys, unit = sensor.figures, sensor.keys, " x" if sensor.follows_standoff else ""
-        baseline = own.baseline_share or own.baseline_mm
-        span = own.range_shares or keys.get("range_mm")
+        figures, keys, unit = sensor.figures, sensor.keys, " x" if sensor.follows_standoff else ""
+        baseline = figures.baseline_share or figures.baseline_mm
+        span = figures.range_shares or keys.get("range_mm")
         rows.append(
             (
                 sensor.name,
-                _distance(own),
-                f"{own.width_near_mm:g}..{own.width_far_mm:g}" if own.width_near_mm else "-",
+                _distance(figures),
+                f"{figures.width_near_mm:g}..{figures.width_far_mm:g}" if figures.width_near_mm else "-",
                 f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
                 f"{span[0]:.4g}..{span[1]:.4g}{unit}" if isinstance(span, tuple) else "-",
                 f"{baseline:g}{unit}" if baseline is not None else "-",
@@ -203,12 +203,12 @@ def table_rows() -> list[tuple[str, ...]]:
     return rows
 
 
-def _distance(own: Figures) -> str:
+def _distance(figures: Figures) -> str:
     """Return the distance from housing to measuring range in the form of the source."""
-    if own.clearance_mm is not None:
-        return f"{own.clearance_mm:g}..{own.clearance_mm + (own.depth_mm or 0):g}"
-    half = f"+-{own.depth_mm / 2:g}" if own.depth_mm is not None else ""
-    return f"{own.reference_mm:g}{half}" if own.reference_mm is not None else "-"
+    if figures.clearance_mm is not None:
+        return f"{figures.clearance_mm:g}..{figures.clearance_mm + (figures.depth_mm or 0):g}"
+    half = f"+-{figures.depth_mm / 2:g}" if figures.depth_mm is not None else ""
+    return f"{figures.reference_mm:g}{half}" if figures.reference_mm is not None else "-"
 
 
 def _folder() -> Path:

@@ -196,13 +196,14 @@ def require_attainable(scene: Scene, scanner: Scanner) -> None:
     for region in scene.region:
         if least is None or region.max_spacing_mm is None or region.max_spacing_mm >= least * (1 - _SPACING_TOLERANCE):
             continue
-        limit, given = region.max_spacing_mm, scene.scanner
-        has_grid = "resolution_deg" in (scanners.keys(given.type) or ())
-        grid = f" at {max(given.resolution_deg):g} deg" if has_grid else ""
-        near = "" if given.range_mm is None else f", whose range begins at {given.range_mm[0]:g} mm,"
+        limit, settings = region.max_spacing_mm, scene.scanner
+        has_grid = "resolution_deg" in (scanners.keys(settings.type) or ())
+        grid = f" at {max(settings.resolution_deg):g} deg" if has_grid else ""
+        near = "" if settings.range_mm is None else f", whose range begins at {settings.range_mm[0]:g} mm,"
         raise SceneError(
-            f"the region '{region.name}' requires points at most {limit:g} mm apart, and {given.sensor or given.type}"
-            f"{near} has at least {least:.3g} mm between points{grid}; {_spacing_remedies(scene, limit, least)}"
+            f"the region '{region.name}' requires points at most {limit:g} mm apart, and "
+            f"{settings.sensor or settings.type}{near} has at least {least:.3g} mm between points{grid}; "
+            f"{_spacing_remedies(scene, limit, least)}"
         )
 
 
@@ -223,26 +224,26 @@ def longest_side_mm(part: Workpiece) -> float:
 
 
 def _device_note(scene: Scene, part: Workpiece) -> str:
-    given = scene.scanner
-    is_open = given.range_mm is None or given.baseline_mm is None
-    if given.sensor is None and not _built_in_device(scene, part.name) and is_open:
+    settings = scene.scanner
+    is_open = settings.range_mm is None or settings.baseline_mm is None
+    if settings.sensor is None and not _built_in_device(scene, part.name) and is_open:
         (small, _), (medium, _) = _BY_SIDE
         longest = longest_side_mm(part)
         return (
             f"the scanner is {_default_device(scene, part.name, longest)}, by the part's longest side of {longest:.4g} "
             f"mm: to {small:g} mm {SMALL}, to {medium:g} mm {MEDIUM}, above {LARGE}; --sensor names another"
         )
-    if given.sensor is None or scene.housing.size_mm is not None:
+    if settings.sensor is None or scene.housing.size_mm is not None:
         return ""
-    figures = sensors.load(given.sensor).figures
+    figures = sensors.load(settings.sensor).figures
     if figures.housing_mm is not None:
         return ""
     body = figures.body_mm
     stated = "its body is not stated" if body is None else f"its body is {' x '.join(f'{s:g}' for s in body)} mm"
     size = " x ".join(f"{side:g}" for side in sensors.load(LARGE).figures.housing_mm or ())
     return (
-        f"collisions are checked with the housing of {LARGE}, {size} mm; {given.sensor}: {stated}; set housing.size_mm "
-        "and housing.position_mm to the real one"
+        f"collisions are checked with the housing of {LARGE}, {size} mm; {settings.sensor}: {stated}; set "
+        "housing.size_mm and housing.position_mm to the real one"
     )
 
 
@@ -259,12 +260,12 @@ def _default_device(scene: Scene, part: str, longest_mm: float) -> str:
 
 def _range_and_baseline(device: Sensor, scene: Scene, default: str) -> tuple[tuple[float, float] | None, float | None]:
     """Return range and baseline of a device [mm]; None: not stated, the scene must have it."""
-    own = device.figures
+    figures = device.figures
     if not device.follows_standoff:
-        return own.range_mm, own.baseline_mm
+        return figures.range_mm, figures.baseline_mm
     standoffs = scene.plan.standoffs_mm or (sum(sensors.load(default).figures.range_mm or ()) / 2,)
-    near, far = own.range_shares or (0.0, 0.0)
-    return (near * min(standoffs), far * max(standoffs)), (own.baseline_share or 0.0) * standoffs[0]
+    near, far = figures.range_shares or (0.0, 0.0)
+    return (near * min(standoffs), far * max(standoffs)), (figures.baseline_share or 0.0) * standoffs[0]
 
 
 def _plugin_values(scene: Scene) -> Values:

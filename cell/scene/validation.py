@@ -140,13 +140,13 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return every model class inside an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [found for inner in get_args(annotation) for found in _models(inner)]
+    return [model for inner in get_args(annotation) for model in _models(inner)]
 
 
 def _tables_by_shape(annotation: Any) -> dict[str, type[BaseModel]]:
     """Return the classes of a union that differ by their `shape`."""
-    classes = [found for found in _models(annotation) if "shape" in found.model_fields]
-    return {str(get_args(found.model_fields["shape"].annotation)[0]): found for found in classes}
+    classes = [model for model in _models(annotation) if "shape" in model.model_fields]
+    return {str(get_args(model.model_fields["shape"].annotation)[0]): model for model in classes}
 
 
 def _path(keys: Sequence[int | str]) -> str:

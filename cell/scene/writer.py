@@ -15,10 +15,10 @@ def scene_text(scene: Scene) -> str:
 
 def _table_lines(table: Mapping[str, object], name: str) -> Iterator[str]:
     """Yield the lines of a table: its values, then its tables, then its lists of tables."""
-    given = {key: value for key, value in table.items() if value is not None}
-    below = {key: value for key, value in given.items() if isinstance(value, Mapping)}
-    lists: dict[str, Any] = {key: value for key, value in given.items() if _is_list_of_tables(value)}
-    for key, value in given.items():
+    values = {key: value for key, value in table.items() if value is not None}
+    below = {key: value for key, value in values.items() if isinstance(value, Mapping)}
+    lists: dict[str, Any] = {key: value for key, value in values.items() if _is_list_of_tables(value)}
+    for key, value in values.items():
         if key not in below and key not in lists:
             yield f"{_key(key)} = {_value(value)}"
     for key, value in below.items():

@@ -27,7 +27,7 @@ def _span(ends: Sequence[float]) -> tuple[float, float]:
 def _axis(help_text: str, unit: str, example: str) -> Option:
     return Option(
         help_text, metavar=f"{unit}:{unit}", form="from:to or one value", examples=(example,), counts=(1, 2),
-        separator=":", made=_span,
+        separator=":", convert=_span,
     )  # fmt: skip
 
 
@@ -134,7 +134,7 @@ def parse_pairs(option: str, text: str) -> list[tuple[float, float]]:
     Raises:
         UsageError: if a piece is not a pair of ascending positive numbers.
     """
-    found = []
+    pairs = []
     for piece in text.split(","):
         near, dash, far = piece.partition("-")
         try:
@@ -145,5 +145,5 @@ def parse_pairs(option: str, text: str) -> list[tuple[float, float]]:
             raise UsageError(
                 f"{option} {text} must be pairs of near and far limit, for instance {option} 50-150,100-300"
             )
-        found.append(pair)
-    return found
+        pairs.append(pair)
+    return pairs

@@ -63,7 +63,7 @@ LAST_STEPS = (12.5, 12.5, 12.5, 3.75)
 """Steps of the compass search [mm, mm, mm, deg]."""
 TOLERANCE = 0.001
 """Coverages that differ by less count as equal [share of the surface]."""
-_KEPT_COVERAGE = 0.95  # share of the best coverage; below it the placement counts as lost
+_SUFFICIENT_COVERAGE = 0.95  # share of the best coverage; less counts as a loss
 _PROBES_MM = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)  # distances of the surroundings
 _BASIN = 0.1  # radius of a basin, as a share of the range
 
@@ -134,9 +134,9 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
             Trial.of(evaluate_placement, {**fixed, "position_mm": p[:3], "abc_deg": (p[3], b, c)}) for p in points
         ]
 
-        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
+        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
             if progress is not None:
-                progress(name, done, total)
+                progress(name, n_done, total)
 
         places[name] = places.get(name, 0) + len(trials)
         evaluated.update(points)
@@ -150,13 +150,13 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         trials = finalist_trials(scene, points)
         places["plans"] = len(trials)
 
-        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
+        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
             if progress is not None:
-                progress("plans", done, total)
+                progress("plans", n_done, total)
 
         values = {each.trial: each.values for each in run_trials(list(trials.values()), workers, on_outcome=on_outcome)}
-        found = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
-        return {place: each for place, each in found.items() if each is not None}
+        plans = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
+        return {place: each for place, each in plans.items() if each is not None}
 
     unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(COARSE_PLACES)
     points = np.tile(low, (COARSE_PLACES if len(free) else 1, 1))
@@ -170,8 +170,8 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         )
     fine: dict[Place, PlaceCoverage] = {}
 
-    def refine(wanted: Sequence[Place]) -> None:
-        new = [point for point in dict.fromkeys(wanted) if point not in fine]
+    def refine(places: Sequence[Place]) -> None:
+        new = [point for point in dict.fromkeys(places) if point not in fine]
         fine.update(zip(new, measure("fine", new, FINE_CANDIDATES), strict=True))
 
     refine(_best_first(dict(zip(starts, coarse, strict=True)))[:FINE_PLACES])
@@ -198,16 +198,16 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
     default = place_of(scene)
-    some = [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
+    planned_places = [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
     if is_within(default, list(zip(*where.ends, strict=True))):
-        some.append(default)
+        planned_places.append(default)
         if default not in [tuple(row[axis] for axis in AXES) for row in ten]:
-            (own,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
-            ten.append(placement_row(default, (b, c), own))
-    ten = _planned_first(ten, compute_plans(some), default)
-    lost, unreached = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
+            (views_and_time,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
+            ten.append(placement_row(default, (b, c), views_and_time))
+    ten = _planned_first(ten, compute_plans(planned_places), default)
+    lost_mm, unreached_mm = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
     shares = [each.coverable for each in coarse]
-    return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost, unreached, places, len(evaluated))
+    return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, places, len(evaluated))
 
 
 def _planned_first(rows: Sequence[Row], planned: Mapping[Place, PlannedPlacement], default: Place) -> list[Row]:
@@ -242,13 +242,13 @@ def place_study(
         progress: is called for each trial.
         plan: command that plans the scene, to which a placement is appended.
     """
-    found = search(scene, where, workers, progress=progress)
-    commands = [f"{shlex.join(map(str, plan))} {place_option(row)}" for row in found.ten]
+    outcome = search(scene, where, workers, progress=progress)
+    commands = [f"{shlex.join(map(str, plan))} {place_option(row)}" for row in outcome.ten]
     result = StudyResult(
-        folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
+        folder, outcome.ten, sentences(outcome), [], sum(outcome.places.values()), list(outcome.ten[0]), commands, 0
     )
-    seconds = [{"round": name, "places": count} for name, count in found.places.items()]
-    write_folder("place", "Best placements of the part", result, pictures(found), seconds)
+    seconds = [{"round": name, "places": count} for name, count in outcome.places.items()]
+    write_folder("place", "Best placements of the part", result, pictures(outcome), seconds)
     return result
 
 
@@ -287,13 +287,13 @@ def _basins(points: Sequence[Place], extent: Floats) -> list[list[Place]]:
 
 def _neighbours(point: Place, step: Floats, low: Floats, high: Floats, free: Ints) -> list[Place]:
     """Return the points one step away in both directions of each free axis, inside the range."""
-    found = []
+    neighbours = []
     for axis in free:
         for sign in (-1.0, 1.0):
             other = np.array(point)
             other[axis] = np.clip(other[axis] + sign * step[axis], low[axis], high[axis])
-            found.append(_rounded(other))
-    return [other for other in dict.fromkeys(found) if other != point]
+            neighbours.append(_rounded(other))
+    return [other for other in dict.fromkeys(neighbours) if other != point]
 
 
 def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCoverage]]) -> tuple[float, float]:
@@ -308,14 +308,14 @@ def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCove
     covered = np.array([each.coverable for each in measure(points)])
     around = covered[1:].reshape(len(directions), len(_PROBES_MM))
     distance = np.broadcast_to(_PROBES_MM, around.shape)
-    lost = distance[around < _KEPT_COVERAGE * covered[0]]
-    unreached = distance[around == 0.0]
-    return float(lost.min(initial=np.inf)), float(unreached.min(initial=np.inf))
+    lost_mm = distance[around < _SUFFICIENT_COVERAGE * covered[0]]
+    unreached_mm = distance[around == 0.0]
+    return float(lost_mm.min(initial=np.inf)), float(unreached_mm.min(initial=np.inf))
 
 
-def sentences(found: PlaceSearchResult) -> list[str]:
+def sentences(result: PlaceSearchResult) -> list[str]:
     """Summarise the best placement and its certainty."""
-    best, ten = found.ten[0], found.ten
+    best, ten = result.ten[0], result.ten
     views = [row["views"] for row in ten if row["views"] is not None]
     spread = [np.ptp([row[axis] for row in ten]) for axis in AXES]
     low, high = min(row["coverable %"] for row in ten), max(row["coverable %"] for row in ten)
@@ -324,9 +324,9 @@ def sentences(found: PlaceSearchResult) -> list[str]:
         f"By the estimates before the plans, the {len(ten)} best places cover {low:.1f} to {high:.1f} % with "
         f"{min(views)} to {max(views)} views; they spread over {spread[0]:.0f} x {spread[1]:.0f} x "
         f"{spread[2]:.0f} mm and {spread[3]:.0f} deg.",
-        f"{_distance_text(found.lost_mm, '5 % of its coverage is lost')}; "
-        f"{_distance_text(found.unreached_mm, 'nothing is reachable').lower()}.",
-        f"{found.n_places} places were evaluated; another seed evaluates others.",
+        f"{_distance_text(result.lost_mm, '5 % of its coverage is lost')}; "
+        f"{_distance_text(result.unreached_mm, 'nothing is reachable').lower()}.",
+        f"{result.n_places} places were evaluated; another seed evaluates others.",
     ]
 
 
@@ -336,15 +336,15 @@ def _distance_text(distance: float, event: str) -> str:
     return f"Nowhere within {_PROBES_MM[-1]:g} mm of the best place {event}"
 
 
-def pictures(found: PlaceSearchResult) -> Iterator[tuple[str, Figure]]:
+def pictures(result: PlaceSearchResult) -> Iterator[tuple[str, Figure]]:
     """Draw the coarse evaluations from above and over height and yaw, with the ten best marked."""
-    points = np.array([point for point, _ in found.coarse])
-    covered = 100 * np.array([share for _, share in found.coarse])
+    points = np.array([point for point, _ in result.coarse])
+    covered = 100 * np.array([share for _, share in result.coarse])
     low, high = colour_limits(covered.tolist(), "coverable %")
     figure = Figure(figsize=(12.0, 5.4), dpi=110, layout="constrained")
     for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (3, 2)), strict=True):
         image = axes.scatter(points[:, a], points[:, b], c=covered, cmap="viridis", s=18, vmin=low, vmax=high)
-        x, y = ([row[AXES[k]] for row in found.ten] for k in (a, b))
+        x, y = ([row[AXES[k]] for row in result.ten] for k in (a, b))
         axes.scatter(x, y, facecolors="none", edgecolors=VERMILION, s=70, label="ten best")
         axes.plot(x[0], y[0], "*", color=VERMILION, markersize=14, label="best")
         axes.set_xlabel(f"{AXES[a].replace(' ', ' [')}]")

@@ -171,7 +171,7 @@ def placement_study(
     }
 
     default = place_of(scene)
-    is_asked = is_within(default, (x, y, z, yaw))
+    is_in_grid = is_within(default, (x, y, z, yaw))
 
     def estimates(outcomes: Sequence[Outcome]) -> dict[tuple[float, ...], Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
@@ -182,26 +182,30 @@ def placement_study(
         }
 
     def finalists(outcomes: Sequence[Outcome]) -> list[Trial]:
-        found = estimates(outcomes)
-        some = [
-            place for place in sorted(found, key=lambda place: _estimated_rank(found[place])) if found[place]["views"]
+        estimates_of = estimates(outcomes)
+        best_places = [
+            place
+            for place in sorted(estimates_of, key=lambda place: _estimated_rank(estimates_of[place]))
+            if estimates_of[place]["views"]
         ]
-        return list(finalist_trials(scene, [*some[:N_PLANNED], *([default] if is_asked else [])]).values())
+        return list(finalist_trials(scene, [*best_places[:N_PLANNED], *([default] if is_in_grid else [])]).values())
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
-        found = estimates(outcomes)
+        estimates_of = estimates(outcomes)
         planned = {
             place: plan
-            for place, trial in finalist_trials(scene, [*found, default]).items()
+            for place, trial in finalist_trials(scene, [*estimates_of, default]).items()
             if (plan := planned_of(values.get(trial))) is not None
         }
-        if default in planned and default not in found:
-            found[default] = placement_row(default, (b, c), {"reachable": None, "coverable": None}) | {
+        if default in planned and default not in estimates_of:
+            estimates_of[default] = placement_row(default, (b, c), {"reachable": None, "coverable": None}) | {
                 "home free": True
             }
         best = best_place(planned, default) if planned else None
-        return [row | planned_columns(planned.get(place)) | {"best": place == best} for place, row in found.items()]
+        return [
+            row | planned_columns(planned.get(place)) | {"best": place == best} for place, row in estimates_of.items()
+        ]
 
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(
@@ -279,7 +283,7 @@ def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
 def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Figure:
     x, y = (np.array(sorted({row[axis] for row in rows})) for axis in ("x mm", "y mm"))
     figure = Figure(figsize=(12.0, 10.0), dpi=100, layout="constrained")
-    shown: dict[str, Any]
+    style: dict[str, Any]
     for axes, (column, title, colours) in zip(figure.subplots(2, 2).flat, _MAPS, strict=True):
         values = np.full((len(y), len(x)), np.nan)
         for row in rows:
@@ -287,13 +291,13 @@ def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Fig
                 values[np.searchsorted(y, row["y mm"]), np.searchsorted(x, row["x mm"])] = row[column]
         known = values[np.isfinite(values)]
         low, high = colour_limits(known.tolist() or [0.0], column)
-        shown = {"vmin": low, "vmax": high, "cmap": colours}
+        style = {"vmin": low, "vmax": high, "cmap": colours}
         ticks = None
         if column == "views" and len(known):  # one colour for each number
             ends = np.arange(known.min() - 0.5, known.max() + 1)
-            shown = {"cmap": colormaps[colours].resampled(len(ends) - 1), "vmin": ends[0], "vmax": ends[-1]}
+            style = {"cmap": colormaps[colours].resampled(len(ends) - 1), "vmin": ends[0], "vmax": ends[-1]}
             ticks = MaxNLocator(integer=True)
-        image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), shading="nearest", **shown)
+        image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), shading="nearest", **style)
         figure.colorbar(image, ax=axes, shrink=0.9, ticks=ticks)
         axes.set_facecolor("#dddddd")  # no value: nothing reached, or no move
         axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color=VERMILION))

@@ -121,13 +121,13 @@ def is_within(place: Place, ends: Sequence[Sequence[float]]) -> bool:
     return all(min(range_) - 1e-9 <= value <= max(range_) + 1e-9 for value, range_ in zip(place, ends, strict=True))
 
 
-def planned_columns(found: PlannedPlacement | None) -> dict[str, float | int | None]:
+def planned_columns(placement: PlannedPlacement | None) -> dict[str, float | int | None]:
     """Return the columns of a row with the numbers of its plan."""
-    if found is None:
+    if placement is None:
         return {"planned %": None, "planned views": None, "planned bound": None, "planned s": None}
     return {
-        "planned %": 100 * found.visible,
-        "planned views": found.views,
-        "planned bound": found.lower_bound,
-        "planned s": float(np.round(found.duration_s, 3)),
+        "planned %": 100 * placement.visible,
+        "planned views": placement.views,
+        "planned bound": placement.lower_bound,
+        "planned s": float(np.round(placement.duration_s, 3)),
     }

@@ -82,8 +82,8 @@ def scanner_study(scene_with: SceneWith, parameter: str, values: Sequence[Settin
         SceneError: if the scene cannot have one of the values.
     """
     title, tables = PARAMETERS[parameter]
-    own = scene_with({}).scanner
-    follows = parameter == "standoff" and own.sensor is None and own.type == sensors.load(_FOLLOWING).type
+    default = scene_with({}).scanner
+    follows = parameter == "standoff" and default.sensor is None and default.type == sensors.load(_FOLLOWING).type
     scanner: Tables = {"scanner": {"sensor": _FOLLOWING}} if follows else {}
     keys = {
         f"{value[0]:g}-{value[1]:g}" if isinstance(value, tuple) else value: {**scanner, **tables(value)}
@@ -95,8 +95,8 @@ def scanner_study(scene_with: SceneWith, parameter: str, values: Sequence[Settin
     }
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
-        found = {outcome.trial: outcome.values for outcome in outcomes}
-        return [_row(title, value, found[trial]) for value, trial in trials.items() if trial in found]
+        values_of = {outcome.trial: outcome.values for outcome in outcomes}
+        return [_row(title, value, values_of[trial]) for value, trial in trials.items() if trial in values_of]
 
     return Study(
         parameter, f"Views and coverage over {title}", list(trials.values()), rows,
@@ -127,7 +127,7 @@ def best_row(rows: Sequence[Row]) -> Row:
 def sentences(title: str, rows: Sequence[Row]) -> list[str]:
     """Summarise the best, the similar and the worst values."""
     best, highest = best_row(rows), max(row["visible %"] for row in rows)
-    found = [
+    texts = [
         f"Best {title}: **{_text(best[title])}**. {best['views']} views measure {best['visible %']:.2f} % of the "
         f"surface (lower bound {best['fewest views']} views); {best['sampled %']:.1f} % of it lies within 1 % of the "
         "diagonal of a scan point."
@@ -138,14 +138,14 @@ def sentences(title: str, rows: Sequence[Row]) -> list[str]:
         if row is not best and row["views"] <= best["views"] + 1 and row["visible %"] >= highest - 2 * TOLERANCE_POINTS
     ]
     if similar:
-        found.append(f"Nearly as good (at most one view more): {', '.join(_text(row[title]) for row in similar)}.")
+        texts.append(f"Nearly as good (at most one view more): {', '.join(_text(row[title]) for row in similar)}.")
     worst = min(rows, key=lambda row: row["visible %"])
     if worst["visible %"] < best["visible %"] - TOLERANCE_POINTS:
-        found.append(
+        texts.append(
             f"Worst is {_text(worst[title])}: {worst['views']} views and {worst['visible %']:.1f} %. Each value has "
             "its own best plan."
         )
-    return found
+    return texts
 
 
 def _text(value: float | str) -> str:

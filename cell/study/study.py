@@ -51,7 +51,7 @@ class Study:
         rows: makes at least one row for each successful trial.
         pictures: makes file stem and figure of each picture.
         sentences: summarises the rows in Markdown paragraphs.
-        shown: columns for a terminal; empty: all.
+        columns: of the table in a terminal; empty: all.
         options: makes the options of `cell plan` for a row (`plan_options`); None: there are none.
         best: selects the best row; None: no row is marked.
     """
@@ -62,7 +62,7 @@ class Study:
     rows: Callable[[Sequence[Outcome]], list[Row]]
     pictures: Callable[[Sequence[Row]], Iterable[tuple[str, Figure]]] = field(default=lambda rows: ())
     sentences: Callable[[Sequence[Row]], Sequence[str]] = field(default=lambda rows: ())
-    shown: Sequence[str] = ()
+    columns: Sequence[str] = ()
     options: Callable[[Row], str] | None = None
     best: Callable[[Sequence[Row]], Row | None] | None = None
     finalists: Callable[[Sequence[Outcome]], Sequence[Trial]] = field(default=lambda outcomes: ())
@@ -78,7 +78,7 @@ class StudyResult(Summary):
         sentences: their summary.
         failed: outcomes of the failed trials.
         computed: number of trials computed now; the others were cached.
-        shown: columns for a terminal.
+        columns: of the table in a terminal.
         commands: command that plans each row; empty without commands.
         best: number of the best row, from 0; None: no row is marked.
     """
@@ -88,7 +88,7 @@ class StudyResult(Summary):
     sentences: Sequence[str]
     failed: Sequence[Outcome]
     computed: int
-    shown: Sequence[str]
+    columns: Sequence[str]
     commands: Sequence[str] = ()
     best: int | None = None
 
@@ -119,11 +119,13 @@ def scene_maker(
     Raises:
         UsageError: as `cell plan` for its options.
     """
-    own = option_tables(options, part, spell)
+    base_tables = option_tables(options, part, spell)
 
     def scene_with(changes: Mapping[str, Mapping[str, object]]) -> Scene:
-        tables = {table: {**own.get(table, {}), **changes.get(table, {})} for table in {**own, **changes}}
-        return load_scene(scene, tables, option_names(own, spell))
+        tables = {
+            table: {**base_tables.get(table, {}), **changes.get(table, {})} for table in {**base_tables, **changes}
+        }
+        return load_scene(scene, tables, option_names(base_tables, spell))
 
     return scene_with
 
@@ -159,8 +161,8 @@ def run_study(
     def run(title: str, trials: Sequence[Trial]) -> list[Outcome]:
         with reporter.stage(title, time_left=True) as progress:
 
-            def on_outcome(done: int, total: int, outcome: Outcome) -> None:
-                progress(done, total)
+            def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
+                progress(n_done, total)
                 if outcome.failure:
                     reporter.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study continues")
 
@@ -178,7 +180,7 @@ def run_study(
         list(study.sentences(rows)) if rows else [],
         [outcome for outcome in outcomes if outcome.failure],
         sum(not outcome.cached for outcome in outcomes),
-        study.shown or _columns(rows),
+        study.columns or _columns(rows),
         [f"{shlex.join(map(str, plan))} {each}".rstrip() for each in options],
         next((number for number, row in enumerate(rows) if row is best), None),
     )
@@ -216,11 +218,11 @@ def write_folder(
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / "rows.csv", _csv(result.rows))
         _write(folder / "seconds.csv", _csv(seconds))
-        drawn = [_draw(folder, stem, figure) for stem, figure in pictures]
+        files = [_draw(folder, stem, figure) for stem, figure in pictures]
         summary = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
-        content = {**summary, "name": name, "title": title, "pictures": [Path(each).stem for each in drawn]}
+        content = {**summary, "name": name, "title": title, "pictures": [Path(each).stem for each in files]}
         _write(folder / "study.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
-        _write(folder / "report.md", _report(title, result, drawn))
+        _write(folder / "report.md", _report(title, result, files))
         _write(folder / PAGE_FILE, study_page(folder))
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error

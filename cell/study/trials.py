@@ -222,8 +222,8 @@ def run_trials(
             on_outcome(len(outcomes), len(distinct), outcome)
 
     for trial in distinct:
-        if (found := load(trial, folder)) is not None:
-            add(found)
+        if (cached_outcome := load(trial, folder)) is not None:
+            add(cached_outcome)
     missing = [trial for trial in distinct if trial not in outcomes]
     for outcome in workers.compute(missing) if missing else ():
         save(outcome, folder)
@@ -267,8 +267,8 @@ class Processes(Workers):
                     while queue and len(running) < limit:
                         running[self._open().submit(compute, queue[0], queue[0].digest)] = queue[0]
                         queue.popleft()
-                    done, _ = wait(running, return_when=FIRST_COMPLETED)
-                    for future in sorted(done, key=lambda future: running[future].settings):
+                    completed, _ = wait(running, return_when=FIRST_COMPLETED)
+                    for future in sorted(completed, key=lambda future: running[future].settings):
                         outcome = future.result()
                         del running[future]
                         yield outcome
@@ -314,12 +314,12 @@ def _certificates(path: Path) -> dict[str, str]:
     """
     names = {"ca_file": "tls_ca_file", "cert_file": "tls_client_cert", "key_file": "tls_client_key"}
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        paths = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(f"--cluster-security {path} cannot be read as TOML; it has {', '.join(names)}") from error
-    if set(given) != set(names) or not all(isinstance(each, str) for each in given.values()):
-        raise UsageError(f"--cluster-security {path} has {', '.join(given) or 'no keys'}; it has {', '.join(names)}")
-    files = {name: path.parent / given[key] for key, name in names.items()}
+    if set(paths) != set(names) or not all(isinstance(each, str) for each in paths.values()):
+        raise UsageError(f"--cluster-security {path} has {', '.join(paths) or 'no keys'}; it has {', '.join(names)}")
+    files = {name: path.parent / paths[key] for key, name in names.items()}
     if missing := [str(file) for file in files.values() if not file.is_file()]:
         raise UsageError(f"--cluster-security {path} names {missing[0]}, which does not exist")
     return {name: str(file) for name, file in files.items()}

@@ -62,8 +62,8 @@ def add_surface(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, hulls: Seque
     """Show a true surface in place of its hulls, in the frame of their body."""
     import mujoco
 
-    shown = decimate(mesh, MAX_FACES) if len(mesh.faces) > MAX_FACES else mesh
-    add_visual_mesh(spec, name, shown, smooth=True)
+    surface = decimate(mesh, MAX_FACES) if len(mesh.faces) > MAX_FACES else mesh
+    add_visual_mesh(spec, name, surface, smooth=True)
     hulls[0].parent.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,

@@ -95,15 +95,15 @@ def draw_cell(
             colour[through] = (1 - _OPACITY) * colour[through] + _OPACITY * front_colour[through]
         return colour, distance
 
-    drawn, depth = rays.render(camera, colour_of)
-    kept = np.linspace(0, len(path) - 1, min(len(path), _MAX_PATH_POINTS)).astype(np.int64)
-    line = path[kept] if len(path) else path
-    rays.draw_lines(drawn, depth, np.stack([line[:-1], line[1:]], axis=1), BLUE, width=2)
-    rays.draw_lines(drawn, depth, marks, "#0b5d57")
+    image, depth = rays.render(camera, colour_of)
+    samples = np.linspace(0, len(path) - 1, min(len(path), _MAX_PATH_POINTS)).astype(np.int64)
+    line = path[samples] if len(path) else path
+    rays.draw_lines(image, depth, np.stack([line[:-1], line[1:]], axis=1), BLUE, width=2)
+    rays.draw_lines(image, depth, marks, "#0b5d57")
     here = link_poses[6] @ cell.arm.T_link_scanner
     if any(np.allclose(here, view, atol=1e-6) for view in views):
-        rays.draw_lines(drawn, depth, rays.pyramid_edges(here[None], cell.frustum), ORANGE, width=2)
-    return drawn, depth
+        rays.draw_lines(image, depth, rays.pyramid_edges(here[None], cell.frustum), ORANGE, width=2)
+    return image, depth
 
 
 def tour_camera(

@@ -20,8 +20,8 @@ _COOKIE = "cell-token"
 
 def open_socket() -> tuple[socket.socket, int]:
     """Return a socket on a free port of 127.0.0.1, and the port."""
-    made = socket.create_server((HOST, 0))
-    return made, made.getsockname()[1]
+    server_socket = socket.create_server((HOST, 0))
+    return server_socket, server_socket.getsockname()[1]
 
 
 def make_token() -> str:
@@ -49,9 +49,9 @@ def refusal(request: Request, port: int, token: str) -> str:
         return "a WebSocket needs the header Origin"
     path, _, query = request.path.partition("?")
     cookies = [each.strip() for text in request.headers.get_all("Cookie") for each in text.split(";")]
-    given = [path.split("/")[1], *query.split("&"), *cookies]
+    credentials = [path.split("/")[1], *query.split("&"), *cookies]
     expected = (token, f"token={token}", f"{_COOKIE}-{port}={token}")
-    is_known = any(hmac.compare_digest(each.encode(), other.encode()) for each in given for other in expected)
+    is_known = any(hmac.compare_digest(each.encode(), other.encode()) for each in credentials for other in expected)
     return "" if is_known else "the address has no token, or that of another server"
 
 

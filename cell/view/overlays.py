@@ -144,7 +144,7 @@ def find_violations(replay_model: ReplayModel, data: mujoco.MjData) -> tuple[Cle
     import mujoco
 
     mujoco.mj_collision(replay_model.model, data)
-    found: dict[str, ClearanceViolation] = {}
+    violations: dict[str, ClearanceViolation] = {}
     for contact in data.contact[: data.ncon]:
         names = " with ".join(replay_model.geom_names[geom] for geom in sorted(contact.geom, reverse=True))
         distance, position = float(contact.dist), contact.pos
@@ -154,10 +154,10 @@ def find_violations(replay_model: ReplayModel, data: mujoco.MjData) -> tuple[Cle
             distance = replay_model.shapes.distance(data, a, b, replay_model.clearance, points=points)
             position = points.mean(axis=0)
         required = min(replay_model.clearance, replay_model.pair_clearances.get((a, b), np.inf))
-        if distance < required and (names not in found or distance < found[names].distance):
+        if distance < required and (names not in violations or distance < violations[names].distance):
             x, y, z = (float(value) for value in position)
-            found[names] = ClearanceViolation(names, distance, (x, y, z))
-    return tuple(sorted(found.values(), key=lambda violation: violation.distance))
+            violations[names] = ClearanceViolation(names, distance, (x, y, z))
+    return tuple(sorted(violations.values(), key=lambda violation: violation.distance))
 
 
 def _geom(

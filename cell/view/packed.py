@@ -87,5 +87,5 @@ def pack_array(values: ArrayLike, kind: Literal["u1", "u2", "u4", "f4"]) -> Pack
 def pack_motion(t: Floats, q: Floats, stops: Sequence[float]) -> Packed:
     """Return a packed motion at even moments and at the stops; between them the joint motion is linear."""
     even = np.linspace(0, len(t) - 1, min(len(t), MAX_MOMENTS)).astype(np.int64)
-    kept = np.union1d(even, np.searchsorted(t, stops).clip(0, len(t) - 1))
-    return {"t": pack_array(t[kept], "f4"), "q": pack_array(q[kept], "f4")}
+    rows = np.union1d(even, np.searchsorted(t, stops).clip(0, len(t) - 1))
+    return {"t": pack_array(t[rows], "f4"), "q": pack_array(q[rows], "f4")}

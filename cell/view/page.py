@@ -142,8 +142,8 @@ def first_half(scene: PageScene) -> str:
 def second_half(contents: PageContents) -> str:
     """Return the HTML text from the contents on."""
     script = resource_text("page.js") + resource_text("tools.js")
-    rest = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=script)
-    return _dump_json(_contents_json(contents)) + rest
+    tail = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=script)
+    return _dump_json(_contents_json(contents)) + tail
 
 
 def page_head(title: str, css: str, policy: str) -> str:
@@ -160,7 +160,7 @@ def page_head(title: str, css: str, policy: str) -> str:
 
 def fill_template(template: str, **values: str) -> str:
     """Replace each `$NAME` of a template in one pass: `$` in a value has no effect."""
-    return re.sub(r"\$([A-Z]+)", lambda found: values[found[1]], template)
+    return re.sub(r"\$([A-Z]+)", lambda match: values[match[1]], template)
 
 
 def resource_text(name: str) -> str:
@@ -265,8 +265,8 @@ def three_js() -> str:
     Raises:
         CellError: if this version of trimesh has an unknown viewer.
     """
-    found = find_spec("trimesh")
-    folders = found.submodule_search_locations if found else None
+    spec = find_spec("trimesh")
+    folders = spec.submodule_search_locations if spec else None
     if not folders:
         raise CellError("trimesh is missing, but pages need its three.js; install trimesh 5.2")
     with ZipFile(Path(folders[0]) / "resources" / "templates" / "viewer.zip") as archive:

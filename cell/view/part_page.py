@@ -121,7 +121,7 @@ def draw_numbered(
     sheet = Image.new("RGB", (2 * _PANEL[0], 2 * _PANEL[1]), "white")
     for k, (azimuth, elevation) in enumerate(_SIDES):
         camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, elevation), _PANEL, parallel=True)
-        drawn, _ = rays.render_mesh(camera, caster, mesh.normals, colours)
+        image, _ = rays.render_mesh(camera, caster, mesh.normals, colours)
         hits = caster.first_hit(*camera.rays())
         seen = np.where(hits.face >= 0, item_of_triangle[hits.face], -1).reshape(_PANEL[::-1])
         places, names = [], []
@@ -131,16 +131,16 @@ def draw_numbered(
             places.append((column[nearest], row[nearest]))
             names.append(labels[index])
         if places:
-            rays.draw_labels(drawn, np.array(places, dtype=np.float64), names, 11)
-        sheet.paste(drawn, (k % 2 * _PANEL[0], k // 2 * _PANEL[1]))
+            rays.draw_labels(image, np.array(places, dtype=np.float64), names, 11)
+        sheet.paste(image, (k % 2 * _PANEL[0], k // 2 * _PANEL[1]))
     rays.save_png(sheet, path)
 
 
 def split_vertices(mesh: TriangleMesh, item_of_triangle: NDArray[np.integer]) -> tuple[TriangleMesh, Ints]:
     """Return the surface with separate vertices for each item, and the item of each vertex."""
     corners = np.stack([np.repeat(item_of_triangle, 3).astype(np.int64), mesh.faces.ravel()], axis=1)
-    own, place = np.unique(corners, axis=0, return_inverse=True)
-    return TriangleMesh(mesh.vertices[own[:, 1]], place.reshape(-1, 3).astype(np.int32)), own[:, 0]
+    pairs, place = np.unique(corners, axis=0, return_inverse=True)
+    return TriangleMesh(mesh.vertices[pairs[:, 1]], place.reshape(-1, 3).astype(np.int32)), pairs[:, 0]
 
 
 def _kind_layer(cad: CadModel, mesh: TriangleMesh, face_of_vertex: Ints) -> Layer:
@@ -148,11 +148,11 @@ def _kind_layer(cad: CadModel, mesh: TriangleMesh, face_of_vertex: Ints) -> Laye
     order, areas, counts = list(SurfaceKind), cad.areas(mesh), cad.counts()
     kind = np.array([order.index(face.kind) for face in cad.faces])
     share = np.bincount(kind, weights=areas, minlength=len(order)) / areas.sum()
-    named = [
+    legend = [
         (f"{counts.get(each, 0)} x {each} ({100 * part:.2f} %)", _COLOURS[each])
         for each, part in zip(order, share, strict=True)
     ]
-    return Layer("Kind of surface", "named", kind[face_of_vertex].astype(np.uint8), named=named)
+    return Layer("Kind of surface", "named", kind[face_of_vertex].astype(np.uint8), named=legend)
 
 
 def _empty_cell() -> CellGeometry:

@@ -83,8 +83,8 @@ def draw_reasons(path: Path, canvas: Canvas, groups: Sequence[tuple[Ints, str]],
     directions = viewing_directions(canvas, number > 0, 4)
     panels = [_draw_panel(canvas, colours[number], toward, canvas.mesh.vertices) for toward in directions]
     share = np.bincount(number, weights=areas, minlength=len(colours)) / areas.sum()
-    named = zip(colours, ["measured", *group_names([name for _, name in groups])], share, strict=False)
-    legend = [(colour, f"{name} ({100 * part:.2f} %)") for colour, name, part in named]
+    classes = zip(colours, ["measured", *group_names([name for _, name in groups])], share, strict=False)
+    legend = [(colour, f"{name} ({100 * part:.2f} %)") for colour, name, part in classes]
     titles = list(map(_direction_name, directions))
     rays.save_png(_join_panels(panels, titles, legend, columns=2, title=title), path)
 

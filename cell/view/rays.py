@@ -202,12 +202,12 @@ def shade(colour: Floats, facing: Floats) -> Floats:
 
 
 def draw_lines(
-    drawn: Image.Image, depth: DepthImage, segments: Floats, colour: str, *, width: int = 1, hidden: str | None = None
+    image: Image.Image, depth: DepthImage, segments: Floats, colour: str, *, width: int = 1, hidden: str | None = None
 ) -> None:
     """Draw segments over a picture, behind a surface in another colour or not at all.
 
     Args:
-        drawn: the picture.
+        image: the picture.
         depth: of the picture.
         segments: (N, 2, 3) [m].
         colour: of visible pieces.
@@ -224,7 +224,7 @@ def draw_lines(
     column = middle[..., 0].astype(np.int64).clip(0, columns - 1)
     row = middle[..., 1].astype(np.int64).clip(0, rows - 1)
     front = middle[..., 2] <= depth.distance[row * columns + column] * (1 + _DEPTH_TOLERANCE)
-    draw = ImageDraw.Draw(drawn)
+    draw = ImageDraw.Draw(image)
     for i in range(len(segments)):
         for first, last, is_visible in _runs(front[i]):
             if is_visible or hidden:
@@ -252,25 +252,25 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
     return [(cuts[k], cuts[k + 1], bool(flags[cuts[k]])) for k in range(len(cuts) - 1)]
 
 
-def draw_labels(drawn: Image.Image, places: Floats, texts: Sequence[str], size: int = 15) -> None:
+def draw_labels(image: Image.Image, places: Floats, texts: Sequence[str], size: int = 15) -> None:
     """Write texts at (N, 2) places [pixels], moved as little as needed to avoid overlaps."""
-    draw, type_face, used = ImageDraw.Draw(drawn), font(size), list[tuple[float, float, float, float]]()
+    draw, type_face, used = ImageDraw.Draw(image), font(size), list[tuple[float, float, float, float]]()
     angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     offsets = [(0.0, 0.0), *((r * np.cos(a), r * np.sin(a)) for r in size * np.arange(1, 9) * 0.8 for a in angles)]
     for place, text in zip(places, texts, strict=True):
         left, top, right, bottom = draw.textbbox((0, 0), text, type_face, anchor="mm")
         centres = [(place[0] + x, place[1] + y) for x, y in offsets]
-        centre = next((at for at in centres if _is_free(at, right - left, bottom - top, used, drawn.size)), centres[0])
+        centre = next((at for at in centres if _is_free(at, right - left, bottom - top, used, image.size)), centres[0])
         used.append((*centre, right - left, bottom - top))
         if np.hypot(centre[0] - place[0], centre[1] - place[1]) > size:
             draw.line([tuple(place), centre], fill="#777777")
         draw.text(centre, text, "#111111", type_face, anchor="mm", stroke_width=2, stroke_fill="white")
 
 
-def draw_dots(drawn: Image.Image, places: Floats, colour: str, radius: float = 4.0) -> None:
+def draw_dots(image: Image.Image, places: Floats, colour: str, radius: float = 4.0) -> None:
     """Draw dots at (N, 2) places [pixels]."""
     for x, y in places:
-        ImageDraw.Draw(drawn).ellipse((x - radius, y - radius, x + radius, y + radius), colour)
+        ImageDraw.Draw(image).ellipse((x - radius, y - radius, x + radius, y + radius), colour)
 
 
 def _is_free(
@@ -292,7 +292,7 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def save_png(drawn: Image.Image, path: Path) -> None:
+def save_png(image: Image.Image, path: Path) -> None:
     """Write a PNG with reproducible bytes.
 
     Raises:
@@ -300,6 +300,6 @@ def save_png(drawn: Image.Image, path: Path) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        drawn.save(path, format="png", optimize=False, compress_level=4)
+        image.save(path, format="png", optimize=False, compress_level=4)
     except OSError as error:
         raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error

@@ -55,19 +55,19 @@ def replay(
         cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
         inputs = PictureInputs(playback, cell, part, [scan.points for scan in scans])
     start = _tightest(playback) if options.tightest else _start(playback.timeline, options.view)
-    made: list[str] = []
+    results: list[str] = []
     if options.picture is not None:
         with reporter.stage("draw the picture"):
             moment = start if options.view is not None or options.tightest else None
             write_picture(inputs, options.picture, options.size, moment, options.camera_deg, options.hide)
-        made.append(f"picture in {options.picture}")
+        results.append(f"picture in {options.picture}")
     if options.frames is not None:
         with reporter.stage("draw the frames") as progress:
             count = write_frames(
                 inputs, options.frames, options.size, start=start, fps=options.fps, speed=options.rate,
                 progress=progress,
             )  # fmt: skip
-        made.append(f"{count} frames in {options.frames}")
+        results.append(f"{count} frames in {options.frames}")
     if not is_drawn:
         half = float(np.tan(np.radians(playback.replay_model.model.vis.global_.fovy) / 2))
         poses = [playback.timeline.at(t) for t in (0.0, *(stop.begin for stop in playback.timeline.stops))]
@@ -85,7 +85,7 @@ def replay(
             from cell.view.viewer import play
 
             play(playback, camera, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
-    return "; ".join(made)
+    return "; ".join(results)
 
 
 def load_playback(run: Run, execution: str | None, reporter: ProgressReporter) -> Playback:
@@ -140,9 +140,9 @@ def _start(timeline: Timeline, view: int | None) -> float:
         return 0.0
     numbers = [stop.number for stop in timeline.stops]
     if view not in numbers:
-        listed = ", ".join(str(number) for number in numbers)
+        number_list = ", ".join(str(number) for number in numbers)
         is_complete = numbers == list(range(1, len(numbers) + 1))
-        valid = f"1 to {len(numbers)}, in visiting order" if is_complete else f"{listed}, as scanned"
+        valid = f"1 to {len(numbers)}, in visiting order" if is_complete else f"{number_list}, as scanned"
         raise UsageError(f"--view {view} is not a view of this run; valid are {valid if numbers else 'none'}")
     return timeline.stops[numbers.index(view)].begin
 

@@ -144,8 +144,8 @@ def build_replay_model(
 
 def point_marks(points: Floats, size: float) -> TriangleMesh:
     """Return a small octahedron [m] at each point, thinned evenly to MAX_POINTS."""
-    shown = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(np.int64)]
+    centres = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(np.int64)]
     star = size * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
     faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
-    vertices = (shown[:, None] + star).reshape(-1, 3)
-    return TriangleMesh(vertices, (6 * np.arange(len(shown))[:, None, None] + faces).reshape(-1, 3))
+    vertices = (centres[:, None] + star).reshape(-1, 3)
+    return TriangleMesh(vertices, (6 * np.arange(len(centres))[:, None, None] + faces).reshape(-1, 3))

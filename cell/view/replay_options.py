@@ -50,7 +50,7 @@ class ReplayOptions(Table):
     hide: Annotated[
         tuple[str, ...],
         Field(strict=False),
-        Option("With --picture: hide robot, post, a fixture, ...", metavar="NAME", made=_names),
+        Option("With --picture: hide robot, post, a fixture, ...", metavar="NAME", convert=_names),
     ] = ()
     size: Annotated[
         tuple[_Pixels, _Pixels],

@@ -75,7 +75,7 @@ def write_picture(
         playback.pose(moment)
         camera = closeup_camera(playback.replay_model.model, playback.data, tightest, size)
     points = _points(inputs, moment, len(inputs.clouds), None)
-    rays.save_png(_drawn(inputs, moment, size, camera, points, tightest, hide)[0], path)
+    rays.save_png(_draw(inputs, moment, size, camera, points, tightest, hide)[0], path)
 
 
 def write_frames(
@@ -119,13 +119,13 @@ def write_frames(
         newest = None if stop is None else timeline.stops.index(stop)
         points = _points(inputs, t, timeline.reached(t), newest)
         tightest = playback.tightest if playback.tightest is not None and playback.tightest.is_shown_at(t) else None
-        drawn, depth = _drawn(inputs, t, size, camera, points, tightest)
+        image, depth = _draw(inputs, t, size, camera, points, tightest)
         positions = np.array([violation.position for violation in violations]).reshape(-1, 3)
-        rays.draw_dots(drawn, depth.camera.project(positions)[:, :2], VERMILION, 6.0)
-        ImageDraw.Draw(drawn).text(
+        rays.draw_dots(image, depth.camera.project(positions)[:, :2], VERMILION, 6.0)
+        ImageDraw.Draw(image).text(
             (8, 4), playback.caption(t, violations), "#111111", rays.font(_CAPTION), stroke_width=2, stroke_fill="white"
         )
-        rays.save_png(drawn, folder / f"frame_{number:05d}.png")
+        rays.save_png(image, folder / f"frame_{number:05d}.png")
         if progress is not None:
             progress(number, len(times))
     return len(times)
@@ -148,7 +148,7 @@ def require_empty(folder: Path) -> None:
         raise FileError(f"{folder} holds frames already; a shorter film would not replace all; choose another folder")
 
 
-def _drawn(
+def _draw(
     inputs: PictureInputs,
     t: float,
     size: tuple[int, int],
@@ -160,28 +160,28 @@ def _drawn(
     """Return the picture of a moment [s] and the depth seen by its camera."""
     playback, candidates = inputs.playback, inputs.playback.T_base_candidate
     strokes = np.stack([candidates[:, :3, 3], candidates[:, :3, 3] + _CANDIDATE * candidates[:, :3, 2]], axis=1)
-    drawn, depth = draw_cell(
+    image, depth = draw_cell(
         inputs.cell, inputs.part, playback.timeline.at(t), views=playback.T_base_scanner, path=playback.path, size=size,
         camera=camera, hide=hide, extra=points,
     )  # fmt: skip
     reachable = np.zeros(len(strokes), dtype=np.bool_) if playback.reachable is None else playback.reachable
-    rays.draw_lines(drawn, depth, strokes[reachable], GREEN, width=2)
-    rays.draw_lines(drawn, depth, strokes[~reachable], VERMILION, width=2)
+    rays.draw_lines(image, depth, strokes[reachable], GREEN, width=2)
+    rays.draw_lines(image, depth, strokes[~reachable], VERMILION, width=2)
     if tightest is not None:
-        rays.draw_lines(drawn, depth, tightest.points[None], VERMILION, width=4, hidden=VERMILION)
+        rays.draw_lines(image, depth, tightest.points[None], VERMILION, width=4, hidden=VERMILION)
         at = depth.camera.project(tightest.points)[:, :2]
-        rays.draw_dots(drawn, at, VERMILION)
-        rays.draw_labels(drawn, at.mean(axis=0)[None] + [0.0, 18.0], [tightest.sentence])
-    return drawn, depth
+        rays.draw_dots(image, at, VERMILION)
+        rays.draw_labels(image, at.mean(axis=0)[None] + [0.0, 18.0], [tightest.sentence])
+    return image, depth
 
 
 def _points(inputs: PictureInputs, t: float, n_scans: int, newest: int | None) -> list[Piece]:
     """Return marks at the points of the first `n_scans` scans at a moment [s]; the newest scan is brighter."""
     T = inputs.cell.table_motion(inputs.playback.timeline.at(t)) @ inputs.cell.T_base_object
-    found = []
+    pieces = []
     for scan, points in enumerate(inputs.clouds[:n_scans]):
         if len(points):
             mesh = point_marks(points, 0.010 * inputs.part.diagonal / 2)
             colour = np.array((overlays.NEWEST if scan == newest else overlays.EARLIER)[:3])
-            found.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
-    return found
+            pieces.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
+    return pieces

@@ -78,8 +78,8 @@ def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequenc
     """
     scene = run.scene
     number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
-    named = [("measured", MEASURED), *zip(group_names([name for _, name in groups]), REASONS, strict=False)]
-    causes = named_layer("Cause", number, named, canvas)
+    classes = [("measured", MEASURED), *zip(group_names([name for _, name in groups]), REASONS, strict=False)]
+    causes = named_layer("Cause", number, classes, canvas)
     part = part_surface(canvas, surface, [causes], scene.regions)
     cell = with_ignored_faces(cell_of_run(run, scene), canvas.mesh, canvas.ignored)
     toward = viewing_directions(canvas, number > 0, 1)[0]
@@ -87,48 +87,48 @@ def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequenc
     return render_page(page_scene, replace(run_contents(run), folder_depth=1))
 
 
-def named_layer(title: str, which: Ints, named: Iterable[tuple[str, str]], canvas: Canvas) -> Layer:
+def named_layer(title: str, which: Ints, classes: Iterable[tuple[str, str]], canvas: Canvas) -> Layer:
     """Return a layer of named classes, each with its share of the surface.
 
     Args:
         title: in the list of layers.
         which: (S,) class of each sample.
-        named: names with their colours.
+        classes: names with their colours.
         canvas: of the samples.
     """
     shares = np.bincount(which, canvas.samples.areas) / canvas.samples.areas.sum()
-    pairs = zip(named, shares, strict=False)
+    pairs = zip(classes, shares, strict=False)
     legend = [(f"{name} ({_format_percent(share)})", colour) for (name, colour), share in pairs]
     return Layer(title, "named", which.astype(np.uint8)[canvas.vertex_samples()], canvas.note, named=legend)
 
 
 def execution_page(
-    run: Run, recorded: RecordedExecution, done: Execution, known: tuple[Canvas, MeasuredSamples] | None = None
+    run: Run, recorded: RecordedExecution, execution: Execution, known: tuple[Canvas, MeasuredSamples] | None = None
 ) -> str:
     """Return the page of an execution: measured surface, deviation, points, and the arm at its reported angles.
 
     Args:
         run: the executed run.
         recorded: the scans.
-        done: the report on them.
+        execution: the report on them.
         known: the part, and the samples that the scans measure, if computed already.
     """
     scene = run.scene
     cell = cell_of_run(run, scene)
     if known is None:
         poses = [scan.poses for scan in recorded.scans]
-        grid = done.report.settings.resolution_deg
+        grid = execution.report.settings.resolution_deg
         known = measure_run(run, read_cell(run, grid[0] if grid else None), poses)
-    shown = [part_surface(*known, regions=scene.regions)]
-    if done.surface is not None:
-        shown.append(_deviation_surface(done.surface, run.mesh("reference.ply"), done))
-    points = done.points if recorded.scans else None
-    contents = replace(execution_contents(run, recorded, done, cell), cloud=points)
+    surfaces = [part_surface(*known, regions=scene.regions)]
+    if execution.surface is not None:
+        surfaces.append(_deviation_surface(execution.surface, run.mesh("reference.ply"), execution))
+    points = execution.points if recorded.scans else None
+    contents = replace(execution_contents(run, recorded, execution, cell), cloud=points)
     cell = with_ignored_faces(cell, known[0].mesh, known[0].ignored)
-    title = f"Scan of {scene.part.name}, points: {done.report.source}"
-    has_deviation = done.surface is not None
+    title = f"Scan of {scene.part.name}, points: {execution.report.source}"
+    has_deviation = execution.surface is not None
     opens_on = _DEVIATION if has_deviation else VIEWS_LAYER
-    return render_page(PageScene(title, cell, shown, opens_on=opens_on, is_alone=has_deviation), contents)
+    return render_page(PageScene(title, cell, surfaces, opens_on=opens_on, is_alone=has_deviation), contents)
 
 
 def measure_run(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, MeasuredSamples]:
@@ -174,8 +174,8 @@ def part_surface(
         limits = (0.0, round(float(np.quantile(known, 0.98)), 6) if len(known) else 1.0)
         layers.append(quantised_layer(values[rows], title, "length", limits, note))
     if regions and (which := canvas.samples.region) is not None:
-        named = [(region.name, REASONS[1:][k % (len(REASONS) - 1)]) for k, region in enumerate(regions)]
-        layers.append(named_layer("Regions", which.astype(np.int64), named, canvas))
+        classes = [(region.name, REASONS[1:][k % (len(REASONS) - 1)]) for k, region in enumerate(regions)]
+        layers.append(named_layer("Regions", which.astype(np.int64), classes, canvas))
     return PageSurface("part", canvas.counted_mesh, layers)
 
 
@@ -202,13 +202,13 @@ def plan_contents(
     page_views = [
         PageView(str(number), _pose_at_part(view, T_base_object), at.get(view.id), [
             ("view", f"{number}, candidate {view.id}"),
-            ("marginal coverage", f"{_format_percent(own.marginal_coverage)} of the surface"),
+            ("marginal coverage", f"{_format_percent(entry.marginal_coverage)} of the surface"),
             ("A1 to A6", f"{', '.join(f'{angle:g}' for angle in view.q_deg)} deg"),
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
-            ("clearance", _format_mm(own.segment_clearance_mm) + " on the path to it"),
+            ("clearance", _format_mm(entry.segment_clearance_mm) + " on the path to it"),
         ], _commands(number, view.T_base_scanner, report))
-        for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
+        for number, (view, entry) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
     rows = [
@@ -242,11 +242,11 @@ def _commands(number: int, T_base_scanner: Floats, report: Report) -> list[str]:
     return [f"cell replay RUN --view {number}", *([" ".join(drop)] if drop else []), *edits]
 
 
-def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, cell: CellGeometry) -> PageContents:
+def execution_contents(run: Run, recorded: RecordedExecution, execution: Execution, cell: CellGeometry) -> PageContents:
     """Return the scans, the motion and the numbers of an execution."""
     planned = run.motion if run.has("motion.npz") else None
     timeline = timelines.execution_timeline(recorded, planned, cell.arm.home, rest=0.0)
-    report = done.report
+    report = execution.report
     coverage, deviation = report.coverage, report.deviation
     reported = {view.number: view for view in report.views}
     page_views = []
@@ -271,7 +271,7 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         ("sampled coverage", _format_percent(coverage.sampled)),
         *([("dense coverage", _format_percent(coverage.dense))] if coverage.dense is not None else []),
     ]
-    listed = _characteristics(done.folder) if done.has("features.json") else ()
+    characteristics = _characteristics(execution.folder) if execution.has("features.json") else ()
     if deviation is not None:
         rows += [("deviation", f"{deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm")]
         rows += [("", deviation.edge_note)] if deviation.edge_note else []
@@ -280,8 +280,8 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
         notes.append(_thinning_note(MAX_POINTS, report.n_points, "points"))
     commands = ["cell replay RUN --execution EXECUTION", "cell scan RUN"]
     return PageContents(
-        page_views, (timeline.t, timeline.q), rows=rows, characteristics=listed, notes=notes, next_commands=commands,
-        folder_depth=2,
+        page_views, (timeline.t, timeline.q), rows=rows, characteristics=characteristics, notes=notes,
+        next_commands=commands, folder_depth=2,
     )  # fmt: skip
 
 
@@ -295,9 +295,9 @@ def _characteristics(folder: Path) -> list[Mapping[str, object]]:
     elements: dict[str, list[Mapping[str, Any]]] = {}
     for element in results["features"]:
         elements.setdefault(element["feature"], []).append(element)
-    found = list[Mapping[str, object]]()
+    entries = list[Mapping[str, object]]()
     for each in results["characteristics"]:
-        own, unit = elements[each["feature"]], each["unit"]
+        feature_elements, unit = elements[each["feature"]], each["unit"]
         rows = [("verdict", each["verdict"] + (f": {each['cause']}" if each["cause"] else ""))]
         if each["value"] is not None:
             rows.append(("value", f"{each['value']:.4f} ± {each['expanded_uncertainty']:.4f} {unit}"))
@@ -305,36 +305,37 @@ def _characteristics(folder: Path) -> list[Mapping[str, object]]:
         limits = [f"{limit:.6g}" for limit in (each["lower"], each["upper"]) if limit is not None]
         rows.append(("limits", f"{' to '.join(limits)} {unit}" if limits else "none"))
         rows += [
-            ("points", f"{e['n_points']:,} on {e['share']:.0%} of {e['kind']}, sd {e['sd_mm']:.4f} mm") for e in own
+            ("points", f"{e['n_points']:,} on {e['share']:.0%} of {e['kind']}, sd {e['sd_mm']:.4f} mm")
+            for e in feature_elements
         ]
-        shown = points.get(each["feature"], [])
-        if shown:
-            off = [row[3] for row in shown]
-            rows.append(("shown", f"{len(shown)} means, {min(off):+.4f} (blue) to {max(off):+.4f} mm (red)"))
-        place = own[0]["point_mm"]
-        found.append({
+        means = points.get(each["feature"], [])
+        if means:
+            off = [row[3] for row in means]
+            rows.append(("shown", f"{len(means)} means, {min(off):+.4f} (blue) to {max(off):+.4f} mm (red)"))
+        place = feature_elements[0]["point_mm"]
+        entries.append({
             "name": f"{each['name']} ({each['kind']})", "colour": VERDICTS[each["verdict"]], "rows": rows,
-            "place": None if place is None else [value / 1000 for value in place], "points": shown,
+            "place": None if place is None else [value / 1000 for value in place], "points": means,
         })  # fmt: skip
-    return found
+    return entries
 
 
-def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, done: Execution) -> PageSurface:
+def _deviation_surface(mesh: TriangleMesh, reference: TriangleMesh, execution: Execution) -> PageSurface:
     """Return the measured surface with a layer of its signed distance to the part."""
     small = thin_mesh(mesh)
     values = 1000 * ClosestPointQuery(reference).signed_distance(small.vertices)
     note = "outside the part is positive"
     if small is mesh:
-        values[np.setdiff1d(mesh.faces[done.is_closed_hole], mesh.faces[~done.is_closed_hole])] = np.nan
+        values[np.setdiff1d(mesh.faces[execution.is_closed_hole], mesh.faces[~execution.is_closed_hole])] = np.nan
     else:
         note += f"; {_thinning_note(len(small.faces), len(mesh.faces), 'faces')}; faces of closed holes are not marked"
-    deviation = done.report.deviation
+    deviation = execution.report.deviation
     limit = 1.0 if deviation is None else 1.5 * max(deviation.quantile_95_mm, 1e-3)  # as in deviation.png
     return PageSurface("surface", small, [quantised_layer(values, _DEVIATION, "signed", (-limit, limit), note)])
 
 
-def _thinning_note(shown: int, of: int, what: str) -> str:
-    return f"drawn with {shown:,} of {of:,} {what}"
+def _thinning_note(count: int, total: int, what: str) -> str:
+    return f"drawn with {count:,} of {total:,} {what}"
 
 
 def _format_percent(share: float) -> str:

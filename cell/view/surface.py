@@ -29,7 +29,7 @@ _NORMAL_WEIGHT = 0.02  # of the diagonal: normals at a right angle add 1.4 times
 _DEFAULT_DEG = ((-60.0, 22.0), (120.0, 22.0), (30.0, -30.0), (-150.0, -30.0))  # azimuth and elevation
 _N_SAMPLES = 2000  # samples that rate a viewing direction
 _LIFT = 2e-3  # of the diagonal: the drawn mesh may lie above its samples
-_MIN_SHARE = 0.02  # of the wanted samples, which a further direction must show
+_MIN_SHARE = 0.02  # of the target samples, which a further direction must show
 
 MAX_FACES = 120_000
 """Largest number of faces of a drawn mesh."""
@@ -132,36 +132,36 @@ def measure_samples(
     return MeasuredSamples(samples, seen, layers)
 
 
-def viewing_directions(canvas: Canvas, wanted: NDArray[np.bool_], count: int) -> list[Floats]:
-    """Return viewing directions, each of which shows most of the wanted samples that earlier ones do not show.
+def viewing_directions(canvas: Canvas, targets: NDArray[np.bool_], count: int) -> list[Floats]:
+    """Return viewing directions, each of which shows most of the target samples that earlier ones do not show.
 
     Args:
         canvas: the surface.
-        wanted: (S,) samples that should be visible.
+        targets: (S,) samples that should be visible.
         count: number of directions; default directions around the part are added if fewer suffice.
 
     Returns:
         `count` unit vectors from the part to the eye.
     """
-    rows = np.flatnonzero(wanted)
+    rows = np.flatnonzero(targets)
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _N_SAMPLES)).astype(np.int64)] if len(rows) else rows
     directions = np.array([direction(a, e) for e in (-62, -30, 0, 25, 60) for a in range(0, 360, 30)])
-    shown = np.zeros((len(directions), len(rows)))
+    visibility = np.zeros((len(directions), len(rows)))
     diagonal, normals = canvas.mesh.diagonal, canvas.samples.normals[rows]
     points = canvas.samples.points[rows] + _LIFT * diagonal * normals
     for i, toward in enumerate(directions):
         facing = normals @ toward
         ahead = np.flatnonzero(facing > 0.1)
         free = ~canvas.caster.blocked(points[ahead] + 2 * diagonal * toward, points[ahead])
-        shown[i, ahead[free]] = facing[ahead[free]]
-    chosen: list[Floats] = []
+        visibility[i, ahead[free]] = facing[ahead[free]]
+    selection: list[Floats] = []
     left = np.ones(len(rows))
-    while len(chosen) < count and len(rows) and (shown @ left).max() > _MIN_SHARE * len(rows):
-        best = int(np.argmax(shown @ left))
-        chosen.append(directions[best])
-        left *= 1 - np.minimum(1.0, 2 * shown[best])
+    while len(selection) < count and len(rows) and (visibility @ left).max() > _MIN_SHARE * len(rows):
+        best = int(np.argmax(visibility @ left))
+        selection.append(directions[best])
+        left *= 1 - np.minimum(1.0, 2 * visibility[best])
     for angles in _DEFAULT_DEG:
         toward = direction(*angles)
-        if len(chosen) < count and all(toward @ other < 0.6 for other in chosen):
-            chosen.append(toward)
-    return (chosen + [direction(*_DEFAULT_DEG[0])] * count)[:count]
+        if len(selection) < count and all(toward @ other < 0.6 for other in selection):
+            selection.append(toward)
+    return (selection + [direction(*_DEFAULT_DEG[0])] * count)[:count]

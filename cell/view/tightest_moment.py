@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import mujoco
 
 TIGHTEST: overlays.Colour = (0.93, 0.25, 0.05, 1.0)
-_SHOWN = 0.35  # s before and after the moment during which a running playback shows the pair
+_DISPLAY_TIME = 0.35  # s before and after the moment during which a running playback shows the pair
 _ROD, _BALL = 0.002, 0.005  # m
 _MIN_CAMERA_DISTANCE = 0.7  # m
 _ELEVATIONS_DEG = (-15.0, -35.0, 5.0)
@@ -49,7 +49,7 @@ class TightestMoment(Value):
 
     def is_shown_at(self, t: float) -> bool:
         """Return whether a playback at time `t` shows the pair."""
-        return abs(t - self.time) <= _SHOWN
+        return abs(t - self.time) <= _DISPLAY_TIME
 
 
 def tightest_moment(plan: PlanFile, timeline: Timeline) -> TightestMoment | None:

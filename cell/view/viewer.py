@@ -131,11 +131,11 @@ def play(
     model, data = playback.replay_model.model, playback.data
     player = Player(playback.timeline, speed, start, None if playback.tightest is None else playback.tightest.time)
     playback.pose(start)
-    others = set(threading.enumerate())
+    threads_before = set(threading.enumerate())
     with mujoco.viewer.launch_passive(
         model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False
     ) as window:
-        threads = [thread for thread in threading.enumerate() if thread not in others]
+        threads = [thread for thread in threading.enumerate() if thread not in threads_before]
         with window.lock():
             set_camera(window.cam, camera, playback.replay_model.centre)
             set_visible_groups(window.opt)

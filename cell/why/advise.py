@@ -79,18 +79,18 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     advice: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[: default_effort().searched_samples])
     with reporter.stage("second set-ups") as progress:
-        for done, (turn, _, T_base_centre, there) in enumerate(rotated_worlds(world)):
-            progress(done, len(ROTATIONS))
+        for n_done, (turn, _, T_base_centre, there) in enumerate(rotated_worlds(world)):
+            progress(n_done, len(ROTATIONS))
             share, error = _share(samples, left, arm(there))
             what, command = f"{turn}, in addition to this plan{_support(there)}", setup_command(run, T_base_centre)
             advice.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
     placements: list[Advice] = []
-    some = np.sort(rng.permutation(len(samples))[: default_effort().searched_samples])
+    rows = np.sort(rng.permutation(len(samples))[: default_effort().searched_samples])
     displaced = list(_displaced_placements(world))
     with reporter.stage("other placements") as progress:
-        for done, (what, T_base_centre) in enumerate(displaced):
-            progress(done, len(displaced))
-            share, error = _share(samples, some, arm(moved_world(world, T_base_centre)))
+        for n_done, (what, T_base_centre) in enumerate(displaced):
+            progress(n_done, len(displaced))
+            share, error = _share(samples, rows, arm(moved_world(world, T_base_centre)))
             placements.append(Advice(what, share, error, replan_command(run, T_base_centre)))
     placements.sort(key=lambda item: -item.share)
     return visible, [*advice, *placements[:N_PLACEMENTS]]
@@ -100,8 +100,8 @@ def _share(samples: SurfaceSamples, rows: Ints, arm: ViewEvaluator | None) -> tu
     """Return the share of the rows measured by any pose, and its standard error; 0 if home is in collision."""
     if arm is None or not len(rows):
         return 0.0, 0.0
-    some = pick_samples(samples, rows)
-    share = float(probe_attainable(RayTargets.of(some.points, some.normals, some.region), arm).measured.mean())
+    targets = pick_samples(samples, rows)
+    share = float(probe_attainable(RayTargets.of(targets.points, targets.normals, targets.region), arm).measured.mean())
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
 
 

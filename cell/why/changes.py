@@ -70,16 +70,16 @@ class Changes:
         """Return one further candidate, and the few that measure nearly all rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.cell.casters)
-        chosen = what_if.select_views(pairs, len(rows))
-        found = []
-        for count in sorted({1, len(chosen)} if chosen else ()):
-            names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
+        selection = what_if.select_views(pairs, len(rows))
+        changes = []
+        for count in sorted({1, len(selection)} if selection else ()):
+            names = ", ".join(str(int(self.usable[view])) for view in selection[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
-            poses, setting = T[np.array(chosen[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
-            found.append(
+            poses, setting = T[np.array(selection[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
+            changes.append(
                 PlanChange(ChangeKind.VIEW, count, sentence, setting, poses, self.cell.scanner, self.cell.casters)
             )
-        return found
+        return changes
 
     def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
         view = self.candidates
@@ -91,13 +91,13 @@ class Changes:
             else view
         )
         apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
-        listed = ",".join(f"{roll:g}" for roll in rolls_deg)
+        standoff_list = ",".join(f"{roll:g}" for roll in rolls_deg)
         yield [
             self._reached(
                 ChangeKind.ROLL,
                 apart[roll],
                 f"a roll of {roll:g} deg",
-                f"--roll {listed},{roll:g}" if few else "",
+                f"--roll {standoff_list},{roll:g}" if few else "",
                 what_if.with_roll(base, np.radians(roll)),
             )
             for roll in sorted(_ROLLS_DEG, key=lambda roll: (apart[roll], roll))
@@ -108,14 +108,14 @@ class Changes:
         few = len(standoffs) <= 4
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
         base = pick_viewpoints(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
-        listed = ",".join(f"{standoff:g}" for standoff in standoffs)
+        standoff_list = ",".join(f"{standoff:g}" for standoff in standoffs)
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
             self._reached(
                 ChangeKind.STANDOFF,
                 abs(factor - 1),
                 f"standoff {other:g} mm in addition to {now:g}" if few else f"standoff {other:g} mm for all candidates",
-                f"--standoff {listed},{other:g}" if few else f"--standoff {other:g}",
+                f"--standoff {standoff_list},{other:g}" if few else f"--standoff {other:g}",
                 what_if.with_standoff(base, other / 1000),
             )
             for factor in _STANDOFFS
@@ -157,11 +157,13 @@ class Changes:
             self.cell.scanner, (self.cell.part_caster, make_caster(fixed_occluders(world))),
         )  # fmt: skip
 
-    def _reached(self, kind: ChangeKind, change: float, sentence: str, setting: str, made: Viewpoints) -> PlanChange:
+    def _reached(
+        self, kind: ChangeKind, change: float, sentence: str, setting: str, candidates: Viewpoints
+    ) -> PlanChange:
         """Return a change to other candidates, as far as they are reachable."""
-        reached = _reachable(made, self.world)
+        reached = _reachable(candidates, self.world)
         return PlanChange(
-            kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.cell.casters
+            kind, change, sentence, setting, candidates.T_object_scanner[reached], self.cell.scanner, self.cell.casters
         )
 
 
@@ -174,13 +176,13 @@ def ladder_masks(ladder: Sequence[PlanChange], targets: RayTargets, rows: Ints) 
     if not ladder or ladder[0].kind not in _LIMITS:
         return [step.measures(targets, rows) for step in ladder]
     final = ladder[-1].measures(targets, rows)
-    found = np.zeros(len(rows), dtype=np.bool_)
+    is_gained = np.zeros(len(rows), dtype=np.bool_)
     masks = []
     for step in ladder[:-1]:
-        ask = np.flatnonzero(final & ~found)
+        ask = np.flatnonzero(final & ~is_gained)
         if len(ask):
-            found[ask[step.measures(targets, rows[ask])]] = True
-        masks.append(found.copy())
+            is_gained[ask[step.measures(targets, rows[ask])]] = True
+        masks.append(is_gained.copy())
     return [*masks, final]
 
 
@@ -193,8 +195,8 @@ def _reachable(views: Viewpoints, world: World) -> Ints:
 
 
 def _distinct(values: Floats) -> Floats:
-    found: Floats = np.unique(values.round(6))
-    return found
+    unique: Floats = np.unique(values.round(6))
+    return unique
 
 
 _FARTHER = (1.1, 1.25, 1.5, 2.0)

@@ -63,7 +63,7 @@ class Patch:
     """Connected samples of one group, and a change for them; None if none helps or the patch is small."""
 
     rows: Ints
-    named: EvaluatedChange | None = None
+    change: EvaluatedChange | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +76,7 @@ class Group:
         rows: samples.
         patches: the same samples, connected over planning faces, largest first.
         detail: further facts about the closest candidates ("76 to 84 deg from the normal, limit 75").
-        named: recommended changes, best first, evaluated on all rows.
+        changes: recommended changes, best first, evaluated on all rows.
     """
 
     reason: Reason
@@ -84,7 +84,7 @@ class Group:
     rows: Ints
     patches: tuple[Patch, ...]
     detail: str
-    named: tuple[EvaluatedChange, ...] = ()
+    changes: tuple[EvaluatedChange, ...] = ()
 
     @property
     def title(self) -> str:
@@ -106,7 +106,7 @@ class Analysis:
         groups: groups by cause, largest area first.
         rest: uncovered samples that no reachable candidate measures.
         overall: changes with the largest gains on `rest`, evaluated on all of it.
-        tried: (change, estimated share of the area of `rest`) of every tried change.
+        trials: (change, estimated share of the area of `rest`) of every tried change.
         part_name: for titles.
     """
 
@@ -116,7 +116,7 @@ class Analysis:
     groups: tuple[Group, ...]
     rest: Ints
     overall: tuple[EvaluatedChange, ...]
-    tried: tuple[tuple[PlanChange, float], ...]
+    trials: tuple[tuple[PlanChange, float], ...]
     part_name: str
 
     @property
@@ -153,8 +153,8 @@ def group_samples(
     for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
         members.setdefault(key, []).append(i)
     grouped = []
-    for (reason, thing), own in members.items():
-        inside = rows[np.array(own)]
+    for (reason, thing), positions in members.items():
+        inside = rows[np.array(positions)]
         pieces = _patches(inside, samples, planning)
         details = (
             _detail(Reason(reason), diagnosis, np.isin(rows, inside), keys),
@@ -191,8 +191,8 @@ def _region_shares(samples: SurfaceSamples, rows: Ints, regions: Sequence[Region
 
 
 _ANGLES: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
-    Reason.GRAZING_SOURCE: (lambda found: found.grazing_source, "grazing_max_deg"),
-    Reason.GRAZING_SENSOR: (lambda found: found.grazing_sensor, "sensor_grazing_max_deg"),
+    Reason.GRAZING_SOURCE: (lambda diagnosis: diagnosis.grazing_source, "grazing_max_deg"),
+    Reason.GRAZING_SENSOR: (lambda diagnosis: diagnosis.grazing_sensor, "sensor_grazing_max_deg"),
 }
 
 
@@ -203,12 +203,12 @@ def _detail(reason: Reason, diagnosis: Diagnosis, inside: Bools, keys: ScannerKe
     if reason in _ANGLES:
         angles, limit = _ANGLES[reason]
         low, high = np.degrees(np.quantile(angles(diagnosis)[inside], (0.1, 0.9)))
-        given = f", limit {highest:g}" if (highest := keys.number(limit)) is not None else ""
-        return f"{low:.0f} to {high:.0f} deg from the normal{given}"
+        suffix = f", limit {highest:g}" if (highest := keys.number(limit)) is not None else ""
+        return f"{low:.0f} to {high:.0f} deg from the normal{suffix}"
     if reason is Reason.OUT_OF_RANGE:
         low, high = 1000 * np.quantile(diagnosis.distance[inside], (0.1, 0.9))
-        given = f", range {ends[0]:g} to {ends[1]:g}" if (ends := keys.pair("range_mm")) is not None else ""
-        return f"{low:.0f} to {high:.0f} mm away{given}"
+        suffix = f", range {ends[0]:g} to {ends[1]:g}" if (ends := keys.pair("range_mm")) is not None else ""
+        return f"{low:.0f} to {high:.0f} mm away{suffix}"
     if reason is Reason.TOO_SPARSE:
         far, steep = diagnosis.distance[inside], diagnosis.grazing_source[inside]
         limit_mm = keys.number("max_spacing_mm")
@@ -225,7 +225,7 @@ _MIN_REPRESENTATIVES = 8  # per group
 _VIEWS_FROM = 160  # samples for the selection of further views
 _AIMS = 64  # targets of new candidates
 _PATCHES = 24  # patches with their own change
-_NAMED = 3  # recommended changes per group
+_N_CHANGES = 3  # recommended changes per group
 
 
 class Findings(NamedTuple):
@@ -235,13 +235,13 @@ class Findings(NamedTuple):
         groups: the groups with recommended changes, also for their patches.
         rest: samples that no reachable candidate measures.
         overall: changes with the largest gains on `rest`.
-        tried: (change, estimated share of the area of `rest`) of every tried change.
+        trials: (change, estimated share of the area of `rest`) of every tried change.
     """
 
     groups: tuple[Group, ...]
     rest: Ints
     overall: tuple[EvaluatedChange, ...]
-    tried: tuple[tuple[PlanChange, float], ...]
+    trials: tuple[tuple[PlanChange, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,12 +254,12 @@ class _Trial:
 
     def best(self, rows: Ints, reason: Reason, most: int) -> list[int]:
         """Return the best changes for some samples. Only unselected samples need a further view."""
-        own = self.place[rows]
-        own = own[own >= 0]
-        if not len(own):
+        columns = self.place[rows]
+        columns = columns[columns >= 0]
+        if not len(columns):
             return []
         apt = [(change.kind is ChangeKind.VIEW) == (reason is Reason.NOT_SELECTED) for change in self.changes]
-        return self.choose(self.gains[:, own].mean(axis=1) * apt, most)
+        return self.choose(self.gains[:, columns].mean(axis=1) * apt, most)
 
     def choose(self, share: Floats, most: int) -> list[int]:
         kinds, sizes = [change.kind for change in self.changes], [change.change for change in self.changes]
@@ -281,10 +281,10 @@ def search_changes(
     closed = [group for group in groups if group.reason is not Reason.NOT_SELECTED]
     rest = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *(group.rows for group in closed)]))
     in_rest = trial.gains.astype(np.float64) @ _weights(trial.place, closed, samples)
-    overall = trial.choose(in_rest, _NAMED)
+    overall = trial.choose(in_rest, _N_CHANGES)
     largest = sorted((patch.rows for group in groups for patch in group.patches), key=lambda rows: -len(rows))
     with_change = {int(rows[0]) for rows in largest[:_PATCHES]}
-    of_group = [trial.best(group.rows, group.reason, _NAMED) for group in groups]
+    of_group = [trial.best(group.rows, group.reason, _N_CHANGES) for group in groups]
     of_patch = [
         [
             trial.best(patch.rows, group.reason, 1) if int(patch.rows[0]) in with_change else []
@@ -293,25 +293,27 @@ def search_changes(
         for group in groups
     ]
     verify = [(index, rest) for index in overall]
-    for group, named, patches in zip(groups, of_group, of_patch, strict=True):
-        verify += [(index, group.rows) for index in named]
-        verify += [(index, patch.rows) for own, patch in zip(patches, group.patches, strict=True) for index in own]
+    for group, indices, patches in zip(groups, of_group, of_patch, strict=True):
+        verify += [(index, group.rows) for index in indices]
+        verify += [
+            (index, patch.rows) for indices, patch in zip(patches, group.patches, strict=True) for index in indices
+        ]
     verified = _verify(trial, verify, targets, progress)
 
-    def helping(chosen: Sequence[int], rows: Ints) -> tuple[EvaluatedChange, ...]:
-        return tuple(verified[index] for index in chosen if verified[index].gained[rows].any())
+    def helping(indices: Sequence[int], rows: Ints) -> tuple[EvaluatedChange, ...]:
+        return tuple(verified[index] for index in indices if verified[index].gained[rows].any())
 
     return Findings(
         tuple(
             replace(
                 group,
-                named=helping(named, group.rows),
+                changes=helping(indices, group.rows),
                 patches=tuple(
-                    replace(patch, named=next(iter(helping(own, patch.rows)), None))
-                    for patch, own in zip(group.patches, patches, strict=True)
+                    replace(patch, change=next(iter(helping(indices, patch.rows)), None))
+                    for patch, indices in zip(group.patches, patches, strict=True)
                 ),
             )
-            for group, named, patches in zip(groups, of_group, of_patch, strict=True)
+            for group, indices, patches in zip(groups, of_group, of_patch, strict=True)
         ),
         rest,
         tuple(verified[index] for index in overall),
@@ -331,20 +333,20 @@ def _try(
     spread = [_spread(group.rows, count) for group, count in zip(groups, counts, strict=True)]
     representatives = np.unique(np.concatenate(spread))
     aims = _spread(rows, _AIMS)
-    tried: list[PlanChange] = []
+    trials: list[PlanChange] = []
     masks: list[NDArray[np.bool_]] = []
-    for done, ladder in enumerate(changes.ladders((samples.points[aims], samples.normals[aims]))):
+    for n_done, ladder in enumerate(changes.ladders((samples.points[aims], samples.normals[aims]))):
         masks.extend(ladder_masks(ladder, targets, representatives))
-        tried.extend(ladder)
-        progress(min(done + 1, 14), 20)
+        trials.extend(ladder)
+        progress(min(n_done + 1, 14), 20)
     for group in groups:
         if group.reason is Reason.NOT_SELECTED:
             views = changes.views(targets, _spread(group.rows, _VIEWS_FROM))
             masks.extend(view.measures(targets, representatives) for view in views)
-            tried.extend(views)
+            trials.extend(views)
     place = np.full(len(targets), -1, dtype=np.int64)
     place[representatives] = np.arange(len(representatives))
-    return _Trial(tuple(tried), np.array(masks).reshape(len(tried), len(representatives)), place)
+    return _Trial(tuple(trials), np.array(masks).reshape(len(trials), len(representatives)), place)
 
 
 def _verify(
@@ -355,12 +357,12 @@ def _verify(
     for index, rows in requests:
         rows_of.setdefault(index, []).append(rows)
     verified: dict[int, EvaluatedChange] = {}
-    for done, (index, pieces) in enumerate(sorted(rows_of.items())):
+    for n_done, (index, pieces) in enumerate(sorted(rows_of.items())):
         every = np.unique(np.concatenate(pieces))
         gained = np.zeros(len(targets), dtype=np.bool_)
         gained[every] = trial.changes[index].measures(targets, every)
         verified[index] = EvaluatedChange(trial.changes[index], gained)
-        progress(14 * len(rows_of) + 6 * (done + 1), 20 * len(rows_of))
+        progress(14 * len(rows_of) + 6 * (n_done + 1), 20 * len(rows_of))
     return verified
 
 
@@ -374,9 +376,9 @@ def _weights(place: Ints, groups: Sequence[Group], samples: SurfaceSamples) -> F
     weight = np.zeros(int(place.max()) + 1)
     total = sum(float(samples.areas[group.rows].sum()) for group in groups)
     for group in groups:
-        own = place[group.rows]
-        own = own[own >= 0]
-        weight[own] = float(samples.areas[group.rows].sum()) / total / len(own)
+        columns = place[group.rows]
+        columns = columns[columns >= 0]
+        weight[columns] = float(samples.areas[group.rows].sum()) / total / len(columns)
     return weight
 
 
@@ -436,8 +438,8 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         groups = group_samples(
             samples, rows, diagnosis, what, cell.planning, cell.scanner_keys, cell.scene.regions or ()
         )
-        found = search_changes(changes, targets, samples, groups, progress)
-    return Analysis(canvas_of(cell.reference, samples), surface, rows, *found, cell.scene.part.name)
+        findings = search_changes(changes, targets, samples, groups, progress)
+    return Analysis(canvas_of(cell.reference, samples), surface, rows, *findings, cell.scene.part.name)
 
 
 def _with_executed_poses(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:
@@ -478,7 +480,9 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
         uncovered=analysis.share(analysis.open_rows),
         groups=tuple(_group_table(analysis, code, group) for code, group in enumerate(analysis.groups, 1)),
         uncoverable=analysis.share(analysis.rest),
-        best_changes=tuple(_named_change(analysis, named, analysis.rest) for named in analysis.overall),
+        best_changes=tuple(
+            _named_change(analysis, recommendation, analysis.rest) for recommendation in analysis.overall
+        ),
         all_changes=tuple(
             EstimatedChange(
                 kind=change.kind.name.lower(),
@@ -486,7 +490,7 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
                 setting=change.setting,
                 estimated_gain=round(share, 4),
             )
-            for change, share in analysis.tried
+            for change, share in analysis.trials
         ),
     )
 
@@ -523,10 +527,10 @@ def table_rows(report: WhyReport) -> list[tuple[str, str, str, str]]:
         x, y, z = (round(value) for value in group.patches[0].centre_mm)
         where = f"near ({x}, {y}, {z})" + (f"\n{group.n_patches} places" * (group.n_patches > 1))
         rows.append((reason, _area(group.share, group.area_mm2), where, _lines(group.changes[:_CHANGES])))
-    rest = report.groups[_ROWS:]
-    if rest:
-        share, area = sum(group.share for group in rest), sum(group.area_mm2 for group in rest)
-        rows.append((f"{len(rest)} smaller groups", _area(share, area), "", "see why.json"))
+    small_groups = report.groups[_ROWS:]
+    if small_groups:
+        share, area = sum(group.share for group in small_groups), sum(group.area_mm2 for group in small_groups)
+        rows.append((f"{len(small_groups)} smaller groups", _area(share, area), "", "see why.json"))
     if report.uncoverable and len(report.groups) > 1:
         area = report.uncoverable * report.area_mm2
         helps = _lines(report.best_changes)
@@ -563,7 +567,7 @@ def _group_table(analysis: Analysis, code: int, group: Group) -> UncoveredSample
         share=analysis.share(group.rows),
         area_mm2=_area_mm2(analysis, group.rows),
         n_patches=len(group.patches),
-        changes=tuple(_named_change(analysis, named, group.rows) for named in group.named),
+        changes=tuple(_named_change(analysis, recommendation, group.rows) for recommendation in group.changes),
         patches=tuple(_patch(analysis, patch) for patch in group.patches[:20]),
     )
 
@@ -574,19 +578,19 @@ def _patch(analysis: Analysis, patch: Patch) -> UncoveredPatch:
     return UncoveredPatch(
         area_mm2=_area_mm2(analysis, patch.rows),
         centre_mm=tuple(points[nearest].round(2).tolist()),
-        change=None if patch.named is None else _named_change(analysis, patch.named, patch.rows),
+        change=None if patch.change is None else _named_change(analysis, patch.change, patch.rows),
     )
 
 
-def _named_change(analysis: Analysis, named: EvaluatedChange, rows: Ints) -> RecommendedChange:
+def _named_change(analysis: Analysis, recommendation: EvaluatedChange, rows: Ints) -> RecommendedChange:
     """Return a change with its exact gain on some rows."""
     areas = analysis.samples.areas[rows]
     return RecommendedChange(
-        kind=named.change.kind.name.lower(),
-        change=named.change.sentence,
-        setting=named.change.setting,
-        gain=float(areas[named.gained[rows]].sum() / areas.sum()),
-        gain_mm2=_area_mm2(analysis, rows[named.gained[rows]]),
+        kind=recommendation.change.kind.name.lower(),
+        change=recommendation.change.sentence,
+        setting=recommendation.change.setting,
+        gain=float(areas[recommendation.gained[rows]].sum() / areas.sum()),
+        gain_mm2=_area_mm2(analysis, rows[recommendation.gained[rows]]),
     )
 
 
@@ -606,8 +610,8 @@ def samples_ply(analysis: Analysis) -> bytes:
     reason, at, gained = np.zeros(n, np.uint8), np.zeros(n, "<u2"), np.zeros(n, np.uint8)
     for code, group in enumerate(analysis.groups, 1):
         at[group.rows], reason[group.rows] = code, group.reason
-        if group.named:
-            gained[group.rows] = group.named[0].gained[group.rows]
+        if group.changes:
+            gained[group.rows] = group.changes[0].gained[group.rows]
     more = {"red": colours[:, 0], "green": colours[:, 1], "blue": colours[:, 2]}
     more |= {"reason": reason, "group": at, "gained": gained}
     legend = [f"group {code}: {group.title}" for code, group in enumerate(analysis.groups, 1)]

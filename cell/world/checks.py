@@ -111,12 +111,12 @@ def find_warnings(world: World) -> list[str]:
     for fixture in fixtures:
         if isinstance(fixture, MeshFixture):
             size = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
-            findings = size_findings(size, fixture.units, _named(world, fixture.name))
+            findings = size_findings(size, fixture.units, _object_name(world, fixture.name))
             warnings += [finding.sentence for finding in findings]
     return warnings + _fixture_penetrations(world, solids) + _unsupported_objects(world, solids)
 
 
-def _named(world: World, name: str) -> str:
+def _object_name(world: World, name: str) -> str:
     """Return the name of an object as a sentence has it."""
     if name in robot_bodies(world):
         return f"the {name}" if name in ("housing", "bracket") else f"the robot's {name}"
@@ -139,7 +139,7 @@ def _move_object(world: World, name: str, move: Floats) -> str:
         if fixtures[index].attached_to == "object":
             step = world.T_base_object[:3, :3].T @ move
     if hit := _hit_by_move(world, cell_solids(world), name, move):
-        return f"change {key}: the shortest move would bring it into {_named(world, hit[0])}"
+        return f"change {key}: the shortest move would bring it into {_object_name(world, hit[0])}"
     return _move_key(key, position, step)
 
 
@@ -197,7 +197,7 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
     cure = _move_object(world, one.name, _clear_move(world, one, other) if move is None else move)
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
-    return f"{_named(world, one.name)} intersects {_named(world, other.name)}{where}, {depth}; {cure}{also}"
+    return f"{_object_name(world, one.name)} intersects {_object_name(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
 def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0) -> Floats:
@@ -388,9 +388,9 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
             problems.append(_penetration(world, solids[name], solids[piece], move=move, at_home=True))
         else:
             problems.append(
-                f"{_named(world, name)} is {1000 * distances[piece]:.1f} mm from {_named(world, piece)} at home, "
-                f"nearer than the clearance of {1000 * world.clearance:g} mm; {_move_object(world, name, move)} or "
-                "change robot.home_deg"
+                f"{_object_name(world, name)} is {1000 * distances[piece]:.1f} mm from {_object_name(world, piece)} at "
+                f"home, nearer than the clearance of {1000 * world.clearance:g} mm; {_move_object(world, name, move)} "
+                "or change robot.home_deg"
             )
     return problems
 
@@ -398,11 +398,11 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
 def _arm_near_cell(world: World) -> list[str]:
     """Check the robot at home with itself, the pedestal and the floor, with the clearance."""
     data, geoms = world.data(), _geoms(world)
-    own = {*robot_bodies(world), "pedestal", "floor"}
+    robot_pieces = {*robot_bodies(world), "pedestal", "floor"}
     checked = {tuple(sorted((world.entities[a], world.entities[b]))) for a, b in world.pairs}
     problems = []
     for one, other in sorted(checked):
-        distance = _distance(world, data, geoms, one, other) if {one, other} <= own else np.inf
+        distance = _distance(world, data, geoms, one, other) if {one, other} <= robot_pieces else np.inf
         if distance < world.clearance - 1e-9:
             name = world.pair_name(geoms[one][0], geoms[other][0])
             partner = "the cell" if {one, other} & {"pedestal", "floor"} else "itself"
@@ -470,11 +470,12 @@ def _fixture_penetrations(world: World, solids: dict[str, Solid]) -> list[str]:
                 warnings.append(_penetration(world, solids[name], solids[other]))
         if "post" in solids and penetrates(solids["post"], solids[name]):
             warnings.append(
-                f"the post goes through {_named(world, name)}; set post.enabled = false if that object carries the part"
+                f"the post goes through {_object_name(world, name)}; set post.enabled = false if that object carries "
+                "the part"
             )
         if (depth := world.floor - float(solids[name].low[2])) > CONTACT_DISTANCE:
             warnings.append(
-                f"{_named(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
+                f"{_object_name(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
                 f"{_move_object(world, name, np.array([0.0, 0.0, depth]))}"
             )
     return warnings
@@ -505,10 +506,10 @@ def _unsupported_objects(world: World, solids: dict[str, Solid]) -> list[str]:
         if rest.on >= supports and rest.move_to_balance() is not None:
             move = _Rest(solids[name], below, world.floor, _FINE_GRID).move_to_balance()
             if move is not None:
-                on = ", ".join(_named(world, each) for each in sorted(rest.on)) or "the floor"
+                on = ", ".join(_object_name(world, each) for each in sorted(rest.on)) or "the floor"
                 offset = 1000 * float(np.linalg.norm(move))
                 warnings.append(
-                    f"the centre of mass of {_named(world, name)} is {offset:.1f} mm outside its "
+                    f"the centre of mass of {_object_name(world, name)} is {offset:.1f} mm outside its "
                     f"support ({on}); it tips unless it is fastened: {_move_object(world, name, move)}"
                 )
     return warnings
@@ -520,23 +521,23 @@ def _unsupported_group(world: World, solids: dict[str, Solid], group: set[str]) 
     gaps = {name: _Rest(solids[name], others, world.floor, _FINE_GRID).gap() for name in solids if name in group}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    rest = [_named(world, each) for each in solids if each in group and each != name]
-    with_others = f" (with {', '.join(rest)})" if rest else ""
+    other_names = [_object_name(world, each) for each in solids if each in group and each != name]
+    with_others = f" (with {', '.join(other_names)})" if other_names else ""
     return (
-        f"{_named(world, name)}{with_others} has no support: it is {1000 * gap:.1f} mm above "
-        f"{_named(world, below)}; {_move_object(world, name, np.array([0.0, 0.0, -gap]))}"
+        f"{_object_name(world, name)}{with_others} has no support: it is {1000 * gap:.1f} mm above "
+        f"{_object_name(world, below)}; {_move_object(world, name, np.array([0.0, 0.0, -gap]))}"
     )
 
 
 def _connected(contacts: dict[str, set[str]], start: list[str], without: str = "") -> set[str]:
     """Return the objects that a chain of contacts connects with some objects, ignoring one object."""
-    found = {name for name in start if name != without}
-    ends = list(found)
+    names = {name for name in start if name != without}
+    ends = list(names)
     while ends:
-        for name in contacts[ends.pop()] - found - {without}:
-            found.add(name)
+        for name in contacts[ends.pop()] - names - {without}:
+            names.add(name)
             ends.append(name)
-    return found
+    return names
 
 
 class _Rest:
@@ -801,8 +802,8 @@ def check_cell(settled: SettledScene, world: World) -> CheckResult:
     distance, nearest = checker.distance(world.home[None])
     envelope = _envelope(world)
     problems = find_problems(world)
-    if beyond := _beyond_reach(world, envelope, max(settings.standoffs)):
-        problems.append(beyond)
+    if problem := _beyond_reach(world, envelope, max(settings.standoffs)):
+        problems.append(problem)
     lower, upper = (np.rad2deg(ends).round(6).tolist() for ends in (world.limits.lower, world.limits.upper))
     standing = {"part", "post", TABLE, "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
     return CheckResult(

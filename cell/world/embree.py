@@ -70,9 +70,9 @@ class EmbreeRayCaster:
                 f"the faces for ray casting refer to vertices {indices.min()} to {indices.max()}; "
                 f"valid are 0 to {len(vertices) - 1}"
             )
-        named = np.zeros(len(vertices), dtype=np.bool_)
-        named[indices] = True
-        used = vertices[named]
+        is_used = np.zeros(len(vertices), dtype=np.bool_)
+        is_used[indices] = True
+        used = vertices[is_used]
         if not np.isfinite(used).all():
             raise CellError("the triangles for ray casting contain NaN or infinity; every coordinate must be finite")
         low, high = used.min(axis=0), used.max(axis=0)
@@ -101,9 +101,9 @@ class EmbreeRayCaster:
             start, along = self._to_float32(origins[part]), _float32("directions", directions[part])
             if (np.abs(np.einsum("ij,ij->i", along, along) - 1) > 1e-4).any():
                 raise CellError("a ray's direction is not a unit vector; distances would not be in metres")
-            found = self._scene.run(start, along, output=True)
-            face[part] = found["primID"]
-            distance[part] = self._refined(origins[part], directions[part], found["primID"], found["tfar"])
+            hits = self._scene.run(start, along, output=True)
+            face[part] = hits["primID"]
+            distance[part] = self._refined(origins[part], directions[part], hits["primID"], hits["tfar"])
 
         self._split(trace, len(origins))
         return Hits(face, distance)
@@ -162,13 +162,13 @@ class EmbreeRayCaster:
         hit = np.flatnonzero(face >= 0)
         if len(hit) < len(face):
             face, rough, origins, directions = face[hit], rough[hit], origins[hit], directions[hit]
-        own = rough.astype(np.float64)
+        rough_distance = rough.astype(np.float64)
         normal = np.take(self._normals, face, axis=0)
         above = np.take(self._offsets, face) - np.einsum("ij,ij->i", origins - self._middle, normal)
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = above / np.einsum("ij,ij->i", directions, normal)
-        sure = np.abs(exact - own) <= _MAX_CORRECTION * (own + self._half_diagonal)
-        distance[hit] = np.where(sure, exact, own)
+        sure = np.abs(exact - rough_distance) <= _MAX_CORRECTION * (rough_distance + self._half_diagonal)
+        distance[hit] = np.where(sure, exact, rough_distance)
         return distance
 
     def _to_float32(self, points: Floats) -> NDArray[np.float32]:
@@ -180,9 +180,9 @@ class EmbreeRayCaster:
         slices = [slice(count * part // parts, count * (part + 1) // parts) for part in range(parts)]
         if parts > 1:
             with ThreadPoolExecutor(parts - 1) as pool:
-                others = pool.map(trace, slices[1:])
+                tasks = pool.map(trace, slices[1:])
                 trace(slices[0])
-                list(others)
+                list(tasks)
         elif count:
             trace(slices[0])
 

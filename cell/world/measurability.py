@@ -349,12 +349,12 @@ def limit_sigma(
         )
     precise = cast(SigmaScanner, scanner)
     layered = quality.sigma_layer(M, candidates, precise, casters=casters)
-    kept = quality.within_sigma(layered, max_sigma_mm / 1000)
-    if len(M.indices) and not len(kept.indices) and not may_be_empty:
+    remaining = quality.within_sigma(layered, max_sigma_mm / 1000)
+    if len(M.indices) and not len(remaining.indices) and not may_be_empty:
         best = 1000 * float(layered.sigma.min()) if layered.sigma is not None else float("nan")
         raise SceneError(
             f"plan.max_sigma_mm is {max_sigma_mm:g} and no candidate measures a sample that precisely: the best point "
             f"has an expected standard deviation of {best:.3g} mm; a longer baseline, a smaller standoff or a smaller "
             "scanner.sigma_angle_mdeg makes it less"
         )
-    return kept
+    return remaining

@@ -324,9 +324,9 @@ def _add_surroundings(
         middle = np.eye(4)
         middle[2, 3] = -length / 2
         cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, length, middle)
-    taken = {geom.name for geom in spec.geoms}
+    names = {geom.name for geom in spec.geoms}
     for i, fixture in enumerate(scene.fixtures):
-        if fixture.name in taken:
+        if fixture.name in names:
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     if table is not None:

@@ -62,14 +62,16 @@ class Prediction:
         # Neighbours measure similar samples. An order by the golden ratio puts views far apart one after the other, so
         # that soon few samples are left to test.
         order = np.argsort(np.arange(len(T_object_scanner)) * ((np.sqrt(5) - 1) / 2) % 1)
-        found = coverage.visible_coverage(T_object_scanner[order], samples, scanner, casters, progress=progress)
-        return cls(samples, scanner, casters, found)
+        coverable = coverage.visible_coverage(T_object_scanner[order], samples, scanner, casters, progress=progress)
+        return cls(samples, scanner, casters, coverable)
 
     def with_more(self, T_object_scanner: Floats) -> "Prediction":
         """Return the prediction with further reachable candidates (n, K, 4, 4) [m]."""
         covered = self.coverable.covered
-        found = find_measured(T_object_scanner, self.samples, self.scanner, self.casters, among=~covered)
-        return replace(self, coverable=coverage.coverage_of_views(np.stack([covered, found], axis=1), self.samples))
+        is_measured = find_measured(T_object_scanner, self.samples, self.scanner, self.casters, among=~covered)
+        return replace(
+            self, coverable=coverage.coverage_of_views(np.stack([covered, is_measured], axis=1), self.samples)
+        )
 
     def visible(self, T_object_scanner: Floats) -> Coverage:
         """Compute the visible coverage of views (n, K, 4, 4) [m]."""

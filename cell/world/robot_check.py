@@ -139,8 +139,10 @@ def report(
         path, base=base, flange=flange, packages={name: Path(each) for name, each in folders.items()}
     )
     velocity = None if np.isfinite(file.velocity).all() else _PLACEHOLDER_DEG_S
-    named = tuple(sorted(folders.items()))
-    model = load_robot(path, base, flange, named, velocity, stamp=modification_times(path, named)).compile()
+    package_folders = tuple(sorted(folders.items()))
+    model = load_robot(
+        path, base, flange, package_folders, velocity, stamp=modification_times(path, package_folders)
+    ).compile()
     try:
         fitted = fit_closed_form(chain_of(model))
     except PlannerError as error:

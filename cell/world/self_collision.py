@@ -167,12 +167,12 @@ def _joints_between(model: mujoco.MjModel, one: int, other: int) -> list[int]:
 
 def _joints_above(model: mujoco.MjModel, body: int) -> list[int]:
     """Return the joints between a body and the world, nearest first."""
-    found: list[int] = []
+    joints: list[int] = []
     while body > 0:
         at = int(model.body_jntadr[body])
-        found += range(at, at + int(model.body_jntnum[body])) if at >= 0 else ()
+        joints += range(at, at + int(model.body_jntnum[body])) if at >= 0 else ()
         body = int(model.body_parentid[body])
-    return found
+    return joints
 
 
 def _farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> Floats:
@@ -184,14 +184,14 @@ def _farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> 
         points: centres (P, 3) and radii (P,) of balls [m].
     """
     offset, radius = points[0] - anchors[-1], points[1]
-    beyond = float((np.linalg.norm(offset, axis=1) + radius).max())
-    found = np.empty(len(anchors))
-    found[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
+    reach = float((np.linalg.norm(offset, axis=1) + radius).max())
+    distances = np.empty(len(anchors))
+    distances[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
     for i in range(len(anchors) - 2, -1, -1):
         step = anchors[i + 1] - anchors[i]
-        found[i] = np.linalg.norm(np.cross(step, lines[i])) + beyond
-        beyond += float(np.linalg.norm(step))
-    return found
+        distances[i] = np.linalg.norm(np.cross(step, lines[i])) + reach
+        reach += float(np.linalg.norm(step))
+    return distances
 
 
 def _points(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[Floats, Floats]:
@@ -408,14 +408,14 @@ def _excluded(model: mujoco.MjModel) -> set[frozenset[int]]:
 def checked_pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
     """Return the pairs (P, 2) of geoms that `mj_collision` checks: matching classes, not rigid, not excluded."""
     excluded = _excluded(model)
-    found = []
+    pairs = []
     for a, b in itertools.combinations(range(model.ngeom), 2):
         match = model.geom_contype[a] & model.geom_conaffinity[b] | model.geom_contype[b] & model.geom_conaffinity[a]
         bodies = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
         rigid = model.body_weldid[bodies[0]] == model.body_weldid[bodies[1]]
         if match and not rigid and frozenset(bodies) not in excluded:
-            found.append((a, b))
-    return np.array(found, dtype=np.int32).reshape(-1, 2)
+            pairs.append((a, b))
+    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
 
 
 def motion_refinement(model: mujoco.MjModel, clearance: float, reduced: Mapping[tuple[int, int], float]) -> float:
@@ -425,8 +425,8 @@ def motion_refinement(model: mujoco.MjModel, clearance: float, reduced: Mapping[
     clearance, one with two moving bodies by less than the clearance: neither may exceed the pair's own clearance.
     """
     factor = 1.0
-    for pair, own in reduced.items():
+    for pair, pair_clearance in reduced.items():
         both_move = (model.body_weldid[model.geom_bodyid[list(pair)]] > 0).all()
-        if own > 0:  # links that always touch are never free
-            factor = max(factor, clearance * (1.0 if both_move else 0.5) / own)
+        if pair_clearance > 0:  # links that always touch are never free
+            factor = max(factor, clearance * (1.0 if both_move else 0.5) / pair_clearance)
     return factor

@@ -90,13 +90,13 @@ class SelfOcclusion:
         result = OcclusionUpdate.CLEAR
         for view, at, rows, is_visible in zip(views.tolist(), q, seen, visible, strict=True):
             needed = rows[multiplicity[rows] == is_visible]  # by no other view: 1 if this one measures it, else 0
-            lost = rows[(multiplicity[rows] == 0) & ~is_visible]
-            share = float(areas[lost].sum() / areas[needed].sum()) if len(needed) else 0.0
+            lost_rows = rows[(multiplicity[rows] == 0) & ~is_visible]
+            share = float(areas[lost_rows].sum() / areas[needed].sum()) if len(needed) else 0.0
             if share <= MAX_OCCLUDED_SHARE:
                 continue
             result = OcclusionUpdate.OTHER_CONFIGURATIONS if result is OcclusionUpdate.CLEAR else result
             if not self._restrict_configurations(view, needed):
-                names = self._occluding_shapes(view, at, lost)
+                names = self._occluding_shapes(view, at, lost_rows)
                 self.reasons[view] = (
                     f"occluded by its own arm: {', '.join(names)} {'hides' if len(names) == 1 else 'hide'} "
                     f"{100 * share:.1f} % of the surface that only this view measured, and every joint configuration "
@@ -106,11 +106,11 @@ class SelfOcclusion:
                 result = OcclusionUpdate.LESS_MEASURED
         return result
 
-    def occludes_no_more(self, view: int, q: Floats, others: Floats) -> Bools:
-        """Return (n,) whether the arm at others (n, axes) hides only samples that it also hides at q (axes,) [rad]."""
+    def occludes_no_more(self, view: int, q: Floats, alternatives: Floats) -> Bools:
+        """Return (n,) whether the arm at (n, axes) alternatives hides only what it hides at q (axes,) too [rad]."""
         rows = np.asarray(self.M.matrix().tocsc()[:, [view]].indices, dtype=np.int64)
         hidden = ~self._visible(view, q, rows)
-        return np.array([(self._visible(view, other, rows) | hidden).all() for other in others], dtype=np.bool_)
+        return np.array([(self._visible(view, other, rows) | hidden).all() for other in alternatives], dtype=np.bool_)
 
     def _restrict_configurations(self, view: int, needed: Ints) -> bool:
         """Keep the configurations that hide at most `MAX_OCCLUDED_SHARE` of the needed samples, if there are any."""
@@ -181,7 +181,7 @@ def coverage_with_arm(
     `visible` (S,) are the samples that they measure without their arm; no others are tested.
     """
     covered = find_measured(
-        T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms, among=visible
+        T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own_occluders=arms, among=visible
     )
     areas = prediction.samples.areas
     return float(areas[covered].sum() / areas.sum())
@@ -191,10 +191,10 @@ def _without(M: Measurability, view: int, rows: Ints) -> Measurability:
     """Return M without some entries of one column."""
     hidden = np.zeros(M.shape[0], dtype=np.bool_)
     hidden[rows] = True
-    kept = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
-    before = np.concatenate([[0], np.cumsum(kept)])
-    sigma = None if M.sigma is None else M.sigma[kept]
-    return Measurability(before[M.indptr], M.indices[kept], M.samples, M.n_viewpoints, sigma)
+    is_retained = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
+    before = np.concatenate([[0], np.cumsum(is_retained)])
+    sigma = None if M.sigma is None else M.sigma[is_retained]
+    return Measurability(before[M.indptr], M.indices[is_retained], M.samples, M.n_viewpoints, sigma)
 
 
 def _ends(scanner: Scanner) -> Floats:

@@ -44,18 +44,18 @@ def place_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rota
     Raises:
         SceneError: if the part reaches below the table's face, or is wider than the table carries.
     """
-    given = scene.table
-    if not given.enabled:
+    settings = scene.table
+    if not settings.enabled:
         return None
     points = hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3]
-    T = pose(given.position_mm or (0.0, 0.0, 0.0), given.abc_deg) + 0.0  # no -0.0 in files
-    if given.position_mm is None:
+    T = pose(settings.position_mm or (0.0, 0.0, 0.0), settings.abc_deg) + 0.0  # no -0.0 in files
+    if settings.position_mm is None:
         R = T[:3, :3]
         middle = scene.placement.T[:3, 3] @ R
-        middle[2] = (points @ R)[:, 2].min() - given.post_mm / 1000.0
+        middle[2] = (points @ R)[:, 2].min() - settings.post_mm / 1000.0
         T[:3, 3] = R @ middle
-    lower, upper = given.limits_deg or ENDLESS_LIMITS_DEG
-    rates = given.velocity_deg_s, given.acceleration_deg_s2, given.jerk_deg_s3
+    lower, upper = settings.limits_deg or ENDLESS_LIMITS_DEG
+    rates = settings.velocity_deg_s, settings.acceleration_deg_s2, settings.jerk_deg_s3
     table = RotaryTable(T, *np.deg2rad([lower, upper, *rates]).tolist())
     on_face = table.to_table_frame(points)
     height, needed = 1000 * float(on_face[:, 2].min()), SHORTEST_POST_MM if scene.post.enabled else 0.0
@@ -66,10 +66,10 @@ def place_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rota
             + ("; a part that stands on the face itself needs post.enabled = false" if needed else "")
         )
     swing = 2000 * float(np.linalg.norm(on_face[:, :2], axis=1).max())
-    if swing > given.swing_mm:
+    if swing > settings.swing_mm:
         raise SceneError(
-            f"the part swings through a circle of {swing:.0f} mm, and the rotary table carries {given.swing_mm:g} mm; "
-            "place it nearer to the axis, or give a larger table.swing_mm"
+            f"the part swings through a circle of {swing:.0f} mm, and the rotary table carries {settings.swing_mm:g} "
+            "mm; place it nearer to the axis, or give a larger table.swing_mm"
         )
     return table
 
@@ -213,18 +213,18 @@ def _pairs_in_reach(
 ) -> list[tuple[int, int]]:
     """Return checked pairs of a turned and a stationary geom that come near each other at some angle."""
     moves = model.body_treeid[model.geom_bodyid] >= 0
-    found = []
+    near_pairs = []
     for a, b in pairs[~moves[pairs].any(axis=1)]:
         stationary, turned = (a, b) if model.body_mocapid[model.geom_bodyid[a]] < 0 else (b, a)
         # The middle moves on a circle about the axis: over all angles the geom stays within a ball about its centre.
         x, y, z = table.to_table_frame(data.geom_xpos[turned])
         middle, axis = table.T_base_table @ [0.0, 0.0, z, 1.0], table.T_base_table[:3, 2]
-        circle, own = float(np.hypot(x, y)), model.geom_rbound[turned] + clearance
+        circle, pair_reach = float(np.hypot(x, y)), model.geom_rbound[turned] + clearance
         offset = data.geom_xpos[stationary] - middle[:3]
         if stationary == model.geom("floor").id:
-            near = -offset[2] - circle * np.hypot(*axis[:2]) < own
+            near = -offset[2] - circle * np.hypot(*axis[:2]) < pair_reach
         else:
-            near = np.linalg.norm(offset) < circle + own + model.geom_rbound[stationary]
+            near = np.linalg.norm(offset) < circle + pair_reach + model.geom_rbound[stationary]
         if near:
-            found.append((int(a), int(b)))
-    return found
+            near_pairs.append((int(a), int(b)))
+    return near_pairs

@@ -130,8 +130,8 @@ class TravelBound:
             moved[:, i:] += steps[:, i, None] * bound
         longest: Floats = moved.max(axis=1)
         for link, turns in self._turning:
-            own = sum(radius * steps[:, axis] for axis, radius in turns)
-            longest = np.maximum(longest, own if link is None else moved[:, link] + own)
+            joint_travel = sum(radius * steps[:, axis] for axis, radius in turns)
+            longest = np.maximum(longest, joint_travel if link is None else moved[:, link] + joint_travel)
         return longest
 
     def _radii_about_axes(self, q: Floats) -> Floats:
@@ -166,11 +166,11 @@ class TravelBound:
             piece = self._link_of == k
             offset = self._points[piece] - self._anchors[k]
             caps[k, k] = (np.linalg.norm(np.cross(offset, self._axes[k]), axis=1) + self._radii[piece]).max()
-            beyond = (np.linalg.norm(offset, axis=1) + self._radii[piece]).max()  # from anchor k
+            reach = (np.linalg.norm(offset, axis=1) + self._radii[piece]).max()  # from anchor k
             for i in range(k - 1, -1, -1):
                 step = self._anchors[i + 1] - self._anchors[i]
-                caps[i, k] = np.linalg.norm(np.cross(step, self._axes[i])) + beyond
-                beyond += np.linalg.norm(step)
+                caps[i, k] = np.linalg.norm(np.cross(step, self._axes[i])) + reach
+                reach += np.linalg.norm(step)
         return caps
 
 

@@ -115,8 +115,8 @@ def scan(
     normals = _normals(part_mesh, hits.face[pixel])
     codes[pixel] = scanner.reject(scanner.source + grid[pixel] * distance, normals @ R)
 
-    kept = codes[pixel] == Rejection.MEASURED
-    pixel, normals, distance = pixel[kept], normals[kept], distance[kept]
+    is_measured = codes[pixel] == Rejection.MEASURED
+    pixel, normals, distance = pixel[is_measured], normals[is_measured], distance[is_measured]
     points = sources[pixel] + directions[pixel] * distance
     ends = lift_points(points, normals, part_mesh.diagonal)
     sensors = np.broadcast_to(R @ scanner.sensor + t, ends.shape)

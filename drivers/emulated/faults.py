@@ -149,7 +149,7 @@ class Injector:
         Telegrams are reordered within one direction. A telegram held back arrives with the next one; `release` returns
         it if none follows.
         """
-        held = self._held.pop(direction, None)
+        delayed_packet = self._held.pop(direction, None)
         arriving: list[tuple[float, bytes]] = []
         if not self.occurs("drop"):
             if self.occurs("corrupt"):
@@ -160,11 +160,11 @@ class Injector:
             arriving.append((delay, packet))
             if self.occurs("duplicate"):
                 arriving.append((delay + self.seconds("duplicate"), packet))
-            if held is None and self.occurs("reorder"):
+            if delayed_packet is None and self.occurs("reorder"):
                 self._held[direction] = packet
                 del arriving[0]
-        if held is not None:
-            arriving.append((0.0, held))
+        if delayed_packet is not None:
+            arriving.append((0.0, delayed_packet))
         return [(delay, data) for delay, data in arriving if data]
 
     def release(self, direction: str) -> bytes | None:

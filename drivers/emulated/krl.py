@@ -292,13 +292,13 @@ def _statement(line: str, local: set[str], routines: set[str], number: int) -> l
 
 def _expression(text: str, local: set[str]) -> str:
     def token(match: re.Match[str]) -> str:
-        found = match[0]
+        word = match[0]
         if match["enum"]:
-            return repr(found)
+            return repr(word)
         if match["part"]:
-            return found
+            return word
         if match["differs"]:
             return "!="
-        return _WORDS.get(found) or (found if found in local else f"v[{found!r}]")
+        return _WORDS.get(word) or (word if word in local else f"v[{word!r}]")
 
     return _TOKEN.sub(token, text)

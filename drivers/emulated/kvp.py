@@ -248,8 +248,8 @@ class KvpStation:
             return b""
         if mode == kvp.WRITE:
             return kvp.answer(number, mode, value, success=self.endpoint.write(name, value))
-        found = self.endpoint.read(name)
-        return kvp.answer(number, mode, found or "", success=found is not None)
+        text = self.endpoint.read(name)
+        return kvp.answer(number, mode, text or "", success=text is not None)
 
     def refuse(self, packet: bytes) -> bytes:
         """Return a failure."""

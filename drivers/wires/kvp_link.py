@@ -284,7 +284,7 @@ class KvpLink(ReopeningLink):
         except (ValueError, KeyError) as error:
             raise ProtocolError(f"{self._proxy.name} reports impossible values: {error}") from error
         is_stopped, has_move = stopped == "TRUE", own["RUNNING"] != 0
-        fault, done, ending = own["FAULT"], own["DONE"], own["ENDING"]
+        fault, done_sequence, ending = own["FAULT"], own["DONE"], own["ENDING"]
         message = Fault(fault).message if fault in tuple(Fault) else ""
         if alarm != "TRUE":
             fault, message = int(Fault.EMERGENCY_STOP), "the emergency stop is pressed"
@@ -293,13 +293,13 @@ class KvpLink(ReopeningLink):
             message = f"the program {kvp_program.NAME} does not run ({program}); select it at the pendant and start it"
         is_held = has_move and program == "#P_STOP" and is_stopped and not fault
         if has_move and fault and is_stopped:
-            done, ending = own["RUNNING"], int(Result.FAULTED)
+            done_sequence, ending = own["RUNNING"], int(Result.FAULTED)
         at_rest = is_stopped and (is_held or bool(fault) or not has_move)
         if fault:
             mode = Mode.EMERGENCY_STOP if fault == Fault.EMERGENCY_STOP else Mode.FAULT
         elif not at_rest:
             mode = Mode.MOVING
-        elif done and done == own["ACK"] and ending == Result.OK and not has_move:
+        elif done_sequence and done_sequence == own["ACK"] and ending == Result.OK and not has_move:
             mode = Mode.IN_POSITION
         else:
             mode = Mode.IDLE
@@ -309,7 +309,7 @@ class KvpLink(ReopeningLink):
             at_rest=at_rest,
             ack_sequence=own["ACK"],
             ack_result=own["RESULT"],
-            done_sequence=done,
+            done_sequence=done_sequence,
             done_result=ending,
             queue_depth=int(has_move),
             fault_code=fault,

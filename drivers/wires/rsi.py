@@ -98,10 +98,10 @@ def parse_answer(data: bytes) -> tuple[int, Floats, bool]:
     Raises:
         ValueError: if it is none.
     """
-    clock, found = _CLOCK.search(data), re.search(rb"<AKorr ([^>]*)/>", data)
-    if clock is None or found is None:
+    clock, corrections_match = _CLOCK.search(data), re.search(rb"<AKorr ([^>]*)/>", data)
+    if clock is None or corrections_match is None:
         raise ValueError("an answer without IPOC or AKorr")
-    axes = dict(_ATTRIBUTE.findall(found[1]))
+    axes = dict(_ATTRIBUTE.findall(corrections_match[1]))
     corrections = np.array([float(axes[name.encode()]) for name in _AXES])
     return int(clock[1]), corrections, b"<MoveStop>1</MoveStop>" in data
 

@@ -191,9 +191,9 @@ class Stream:
             if self._sender not in (None, sender):
                 continue
             with contextlib.suppress(ValueError):
-                found = rsi.parse_telegram(data)
-                if newest is None or found.ipoc > newest[0].ipoc:
-                    newest = found, sender
+                received = rsi.parse_telegram(data)
+                if newest is None or received.ipoc > newest[0].ipoc:
+                    newest = received, sender
         if newest is None:
             return
         telegram, sender = newest

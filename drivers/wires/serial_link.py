@@ -44,15 +44,15 @@ T = TypeVar("T")
 BITS_PER_BYTE = 10
 _ANSWER_BYTES = 500  # upper bound for any answer except that to HELLO
 
-_LOST = (OSError, TypeError, ValueError, AttributeError)
+_PORT_ERRORS = (OSError, TypeError, ValueError, AttributeError)
 """Exceptions of pyserial if a port vanishes: SerialException is an OSError, the rest are its bugs on a closed port."""
 
 try:
     import termios
 
-    _FAILURES: tuple[type[Exception], ...] = (*_LOST, termios.error)
+    _FAILURES: tuple[type[Exception], ...] = (*_PORT_ERRORS, termios.error)
 except ImportError:  # Windows
-    _FAILURES = _LOST
+    _FAILURES = _PORT_ERRORS
 
 
 class Port(Line, Protocol):

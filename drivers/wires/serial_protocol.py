@@ -341,10 +341,10 @@ def _crc(words: Iterator[str]) -> int:
 
 def _points(words: Iterator[str], axes: int) -> SetPoints:
     n = _integer(words, 1, COUNTS_PER_FRAME // axes)
-    taken = list(islice(words, n * axes))
-    if len(taken) != n * axes or not all(map(_COUNT.fullmatch, taken)):
+    texts = list(islice(words, n * axes))
+    if len(texts) != n * axes or not all(map(_COUNT.fullmatch, texts)):
         raise ValueError("points")
-    counts = np.array(taken, dtype=np.int64).reshape(n, axes)
+    counts = np.array(texts, dtype=np.int64).reshape(n, axes)
     points = counts.astype(np.int32)
     if (points != counts).any():
         raise ValueError("points")

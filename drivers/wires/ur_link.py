@@ -301,16 +301,16 @@ class UrLink:
         self._register = register[ACK]
         if self._local and self._local[0] == self._register:
             register[ACK], register[ACK_RESULT] = self._local[1].sequence, self._local[1].result
-        running, done, done_result = register[RUNNING], register[DONE], register[DONE_RESULT]
+        running, done_sequence, done_result = register[RUNNING], register[DONE], register[DONE_RESULT]
         safety, robot, runtime = values["safety_mode"], values["robot_mode"], values["runtime_state"]
         fault, message = 0, ""
         if safety in _SAFETY_MODES:
             fault, message = int(safety), _SAFETY_MODES[safety]
         elif robot != ROBOT_RUNNING:
             fault, message = _ROBOT_FAULT + int(robot), f"the robot {_ROBOT_MODES.get(robot, f'is in mode {robot}')}"
-        if running and running != done and runtime == STOPPED:  # somebody or a fault ended the program
-            done, done_result = running, Result.FAULTED if fault else Result.STOPPED_BY_OTHER
-        has_move = bool(running) and running != done
+        if running and running != done_sequence and runtime == STOPPED:  # somebody or a fault ended the program
+            done_sequence, done_result = running, Result.FAULTED if fault else Result.STOPPED_BY_OTHER
+        has_move = bool(running) and running != done_sequence
         slow = max(abs(speed) for speed in values["actual_qd"]) < _AT_REST
         is_held = has_move and runtime in (PAUSING, PAUSED) and slow and not fault
         at_rest = slow and (is_held or bool(fault) or not has_move)
@@ -318,7 +318,7 @@ class UrLink:
             mode = Mode.EMERGENCY_STOP if safety in _EMERGENCY else Mode.FAULT
         elif not at_rest:
             mode = Mode.MOVING
-        elif done and done == register[ACK] and done_result == Result.OK and not has_move:
+        elif done_sequence and done_sequence == register[ACK] and done_result == Result.OK and not has_move:
             mode = Mode.IN_POSITION
         else:
             mode = Mode.IDLE
@@ -329,7 +329,7 @@ class UrLink:
             at_rest=at_rest,
             ack_sequence=register[ACK],
             ack_result=register[ACK_RESULT],
-            done_sequence=done,
+            done_sequence=done_sequence,
             done_result=done_result,
             queue_depth=int(has_move),
             fault_code=fault,

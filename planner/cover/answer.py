@@ -169,8 +169,8 @@ def make_cover(
     instance = form.reduced
     order, added = order_by_marginal_area(instance, columns)
     if instance.maximises_area and instance.has_unit_demand:  # drop views that add nothing to those before
-        kept = [k for k, rows in enumerate(added) if len(rows) or order[k] in form.pinned_columns]
-        order, added = order[kept], [added[k] for k in kept]
+        positions = [k for k, rows in enumerate(added) if len(rows) or order[k] in form.pinned_columns]
+        order, added = order[positions], [added[k] for k in positions]
     elif instance.maximises_area:  # a view that satisfies no row may still be needed: drop those that are not
         for column in order[::-1]:
             others = order[order != column]
@@ -203,8 +203,8 @@ def make_cover(
             forced = form.forced_columns
             per_group = int(instance.group_costs.max(initial=0))
             highest = int(np.delete(instance.costs, forced).max(initial=1)) + per_group
-            rest = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
-            bound = len(forced) + max(-(-rest // highest), 0)
+            remaining_cost = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
+            bound = len(forced) + max(-(-remaining_cost // highest), 0)
         lower_bound = len(idle) + bound
     if not instance.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
@@ -267,14 +267,15 @@ def _cost_and_bound(problem: CoverProblem, form: CanonicalForm, views: Ints, bou
     forced = form.forced_columns  # they are in every selection, so that their costs are exact
     forced_cost = float(costs[form.columns[forced]].sum())
     left = np.delete(np.arange(instance.n_columns), forced)
-    given, units, bound = costs[form.columns[left]], instance.costs[left], bound - int(instance.costs[forced].sum())
+    caller_costs, units = costs[form.columns[left]], instance.costs[left]
+    bound -= int(instance.costs[forced].sum())
     lower = bound * unit
     rounded_groups = np.rint(group_costs / unit)
-    if not (np.array_equal(given, units * unit) and np.array_equal(group_costs, rounded_groups * unit)):
+    if not (np.array_equal(caller_costs, units * unit) and np.array_equal(group_costs, rounded_groups * unit)):
         rounded = np.maximum(rounded_groups, 1.0)
-        added = float(np.maximum(units - given / unit, 0.0).sum())
+        added = float(np.maximum(units - caller_costs / unit, 0.0).sum())
         added += float(np.maximum(rounded - group_costs / unit, 0.0)[group_costs > 0].sum())
-        shares = np.concatenate((given / units, (group_costs / rounded)[group_costs > 0]))
+        shares = np.concatenate((caller_costs / units, (group_costs / rounded)[group_costs > 0]))
         lower = max(bound * float(shares.min(initial=unit)), (bound - added) * unit) * (1 - FLOAT_ERROR)
     lower = max(lower, 0.0) + forced_cost
     return cost_of(views), min(lower + cost_of(form.idle_pins), cost_of(views))

@@ -116,8 +116,8 @@ class Relaxation:
         else:
             # Feasible: each row's share of its best column, so that no reduced cost is negative.
             weights = np.ones(instance.n_rows) if instance.full else self.units
-            own = self.At if len(self.row_of) == instance.n_rows else self.At[:, : instance.n_rows]
-            rates = (own @ weights) / instance.costs
+            transposed = self.At if len(self.row_of) == instance.n_rows else self.At[:, : instance.n_rows]
+            rates = (transposed @ weights) / instance.costs
             largest = reduce_slices(np.maximum, instance.row_start, instance.row_columns, rates.__getitem__)
             np.divide(weights, largest, out=first[: instance.n_rows], where=largest > 0)
         self.evaluate(first)

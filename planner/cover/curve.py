@@ -75,9 +75,9 @@ class CoverageCurve(Value):
         if not 0.0 <= coverage <= 1.0:
             raise PlannerError(f"coverage is {coverage!r}; it is a share of the coverable area and must be from 0 to 1")
         required = (coverage - _TOLERANCE) * self.coverable_area
-        found, possible = (np.flatnonzero(a >= required) for a in (self.covered_area, self.upper_area))
+        reached, possible = (np.flatnonzero(a >= required) for a in (self.covered_area, self.upper_area))
         return (
-            int(self.n_views[found[0]]) if len(found) else None,
+            int(self.n_views[reached[0]]) if len(reached) else None,
             int(self.n_views[possible[0]]) if len(possible) else None,
         )
 

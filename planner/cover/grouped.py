@@ -48,7 +48,7 @@ class GroupLoads:
         demand: (S,) columns that must measure each row, at most as many as all groups offer.
         weights: (S,) area or weight of each row.
         region: (S,) region of each row.
-        wanted: (P,) weight that must be satisfied in each region.
+        target_weight: (P,) weight that must be satisfied in each region.
     """
 
     def __init__(self, problem: CoverProblem, targets: Floats) -> None:
@@ -61,7 +61,7 @@ class GroupLoads:
         self.region: Ints = (
             np.zeros(len(self.weights), np.int64) if problem.region is None else np.asarray(problem.region, np.int64)
         )
-        self.wanted: Floats = targets * self.weight_of(self.demand > 0)
+        self.target_weight: Floats = targets * self.weight_of(self.demand > 0)
 
     @property
     def n_groups(self) -> int:
@@ -83,7 +83,7 @@ class GroupLoads:
 
     def deficit(self, reached: Floats) -> float:
         """Return the weight that is missing; 0 if (P,) reached weights meet all targets."""
-        return float(np.maximum(self.wanted * (1 - _AREA_TOLERANCE) - reached, 0.0).sum())
+        return float(np.maximum(self.target_weight * (1 - _AREA_TOLERANCE) - reached, 0.0).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +154,7 @@ class GroupedCover:
     def is_met_by(self, loads: Ints) -> bool:
         """Return whether (S,) loads still meet the targets; for limited views, the covered area."""
         reached = self.loads.weight_of(self.loads.satisfied(loads))
-        least = self.loads.wanted if self.upper_area is None else np.array([self.covered_area])
+        least = self.loads.target_weight if self.upper_area is None else np.array([self.covered_area])
         return bool((reached >= least * (1 - 1e-9)).all())
 
 
@@ -190,23 +190,23 @@ def solve_grouped(
     reached = [loads.reached(choice) for choice in choices]
     is_feasible = any(loads.deficit(area) == 0 for area in reached)
     if not is_feasible:
-        loads.wanted = np.minimum(loads.wanted, min(reached, key=loads.deficit))
+        loads.target_weight = np.minimum(loads.target_weight, min(reached, key=loads.deficit))
     known = np.concatenate([first[row] + views for row, views in start.items()]) if start else np.empty(0, np.int64)
     covers = _GroupCovers(problem, loads, rng, solver, effort_budget)
     largest = sorted(zip(choices, reached, strict=True), key=lambda each: -float(each[1].sum()))
-    found, bound = covers.best_of([choice for choice, _ in largest], known, is_complete=is_complete, fast=fast)
+    best, bound = covers.best_of([choice for choice, _ in largest], known, is_complete=is_complete, fast=fast)
     if group_cost is not None:
-        found, bound = covers.with_group_costs(found, group_cost, fewest, FAST_SHARE if fast else 1.0)
-    used = np.unique(group[found.views])
-    covered = found.covered_area
+        best, bound = covers.with_group_costs(best, group_cost, fewest, FAST_SHARE if fast else 1.0)
+    used = np.unique(group[best.views])
+    covered = best.covered_area
     if problem.weights is not None and problem.max_views is None:  # the cover reports areas, and rows have weights
-        sums = np.asarray(problem.matrix[:, found.views].sum(axis=1, dtype=np.int64)).ravel()
+        sums = np.asarray(problem.matrix[:, best.views].sum(axis=1, dtype=np.int64)).ravel()
         covered = float(loads.weight_of(loads.satisfied(sums)).sum())
-    paid = covers.price(found, group_cost)
+    paid = covers.price(best, group_cost)
     return GroupedCover(
-        views={int(row): found.views[group[found.views] == row] - first[row] for row in used},
+        views={int(row): best.views[group[best.views] == row] - first[row] for row in used},
         group_bound=min(fewest, len(used)),
-        view_bound=min(bound.views, len(found.views)),
+        view_bound=min(bound.views, len(best.views)),
         covered_area=covered,
         loads=loads,
         targets=targets,
@@ -227,8 +227,8 @@ def fewest_views(
     covers = _GroupCovers(problem, GroupLoads(problem, targets), rng, "auto", effort_budget)
     if problem.costs is not None or not covers.allow_group_costs:
         return None
-    found = covers.solve(np.asarray(problem.allowed), FAST_SHARE, group_cost=_VIEWS_FIRST_GROUP_COST)
-    return len(np.unique(np.asarray(problem.group)[found.views])), len(found.views)
+    cover = covers.solve(np.asarray(problem.allowed), FAST_SHARE, group_cost=_VIEWS_FIRST_GROUP_COST)
+    return len(np.unique(np.asarray(problem.group)[cover.views])), len(cover.views)
 
 
 def fewest_groups(
@@ -265,11 +265,11 @@ def fewest_groups(
 
 def _greedy_groups(loads: GroupLoads, required: tuple[int, ...], limit: int) -> tuple[int, ...]:
     """Add the group that leaves the smallest deficit until none is left or the limit is reached."""
-    chosen = required
-    while not chosen or (loads.deficit(loads.reached(chosen)) > 0 and len(chosen) < limit):
-        others = (row for row in range(loads.n_groups) if row not in chosen)
-        chosen += (min(others, key=lambda row: loads.deficit(loads.reached((*chosen, row)))),)
-    return tuple(sorted(chosen))
+    selection = required
+    while not selection or (loads.deficit(loads.reached(selection)) > 0 and len(selection) < limit):
+        others = (row for row in range(loads.n_groups) if row not in selection)
+        selection += (min(others, key=lambda row: loads.deficit(loads.reached((*selection, row)))),)
+    return tuple(sorted(selection))
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,10 +360,10 @@ class _GroupCovers:
     def with_group_costs(self, known: Cover, group_cost: float, fewest: int, share: float) -> tuple[Cover, _Bound]:
         """Return the cheapest cover if each group has a cost; at most as expensive as the known cover."""
         free = self.solve(self._allowed, share, start=known.views)
-        found = self.solve(self._allowed, share, start=known.views, group_cost=group_cost)
-        bound = _Bound.of_any([found])
+        answer = self.solve(self._allowed, share, start=known.views, group_cost=group_cost)
+        bound = _Bound.of_any([answer])
         bound = replace(bound, cost=max(bound.cost, free.cost_bound + fewest * group_cost))
-        return min(found, known, key=lambda cover: self.price(cover, group_cost) or 0.0), bound
+        return min(answer, known, key=lambda cover: self.price(cover, group_cost) or 0.0), bound
 
     def price(self, cover: Cover, group_cost: float | None) -> float | None:
         """Return the cost of views and groups; None if views have no costs."""
@@ -390,27 +390,27 @@ class _GroupCovers:
             group_cost: of each group; None: groups are free.
             bound_only: whether only the bound is of use: by branch and bound, and without overlap.
         """
-        problem, loads, some = self._problem, self._loads, np.flatnonzero(columns)
-        matrix = problem.matrix[:, some]
-        kept = loads.satisfied(np.asarray(matrix.sum(axis=1, dtype=np.int64)).ravel())
-        reach = loads.weight_of(kept)
-        shares = np.minimum(np.divide(loads.wanted, reach, out=np.ones_like(reach), where=reach > 0), 1.0)
+        problem, loads, numbers = self._problem, self._loads, np.flatnonzero(columns)
+        matrix = problem.matrix[:, numbers]
+        is_satisfied = loads.satisfied(np.asarray(matrix.sum(axis=1, dtype=np.int64)).ravel())
+        reach = loads.weight_of(is_satisfied)
+        shares = np.minimum(np.divide(loads.target_weight, reach, out=np.ones_like(reach), where=reach > 0), 1.0)
         part = replace(
-            problem, matrix=matrix[kept], areas=np.asarray(problem.areas)[kept], allowed=None,
-            demand=loads.demand[kept], coverage=float(shares[0]),
-            costs=None if problem.costs is None else self._costs[some],
-            pinned=np.searchsorted(some, list(problem.pinned)).tolist(),
-            weights=None if problem.weights is None else loads.weights[kept],
-            region=None if problem.region is None else loads.region[kept],
+            problem, matrix=matrix[is_satisfied], areas=np.asarray(problem.areas)[is_satisfied], allowed=None,
+            demand=loads.demand[is_satisfied], coverage=float(shares[0]),
+            costs=None if problem.costs is None else self._costs[numbers],
+            pinned=np.searchsorted(numbers, list(problem.pinned)).tolist(),
+            weights=None if problem.weights is None else loads.weights[is_satisfied],
+            region=None if problem.region is None else loads.region[is_satisfied],
             region_coverage=() if problem.region is None else tuple(shares.tolist()),
             overlap=None if bound_only else problem.overlap,
-            group=None if group_cost is None else self._group[some],
+            group=None if group_cost is None else self._group[numbers],
             group_costs=None if group_cost is None else np.full(loads.n_groups, group_cost),
         )  # fmt: skip
-        begin = np.searchsorted(some, start) if start is not None and len(start) and columns[start].all() else None
+        begin = np.searchsorted(numbers, start) if start is not None and len(start) and columns[start].all() else None
         solver, budget = ("exact", self._bound_budget) if bound_only else (self._solver, self._budget)
-        found = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
-        return replace(found, views=some[found.views])
+        cover = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
+        return replace(cover, views=numbers[cover.views])
 
     def _solve_choice(self, groups: tuple[int, ...], share: float, start: Ints) -> Cover:
         return self.solve(self._columns_of(groups), share, start=start)

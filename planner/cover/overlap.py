@@ -112,8 +112,8 @@ def _select_connected(
     for columns in components:
         if np.isin(instance.fixed, columns).all() and instance.is_feasible(columns):
             inside = instance.restricted(columns=np.isin(np.arange(instance.n_columns), columns))
-            kept = np.searchsorted(columns, start[np.isin(start, columns)])
-            return columns[_improve_connected(inside, kept, rng, budget, lower_bound)]
+            inner_start = np.searchsorted(columns, start[np.isin(start, columns)])
+            return columns[_improve_connected(inside, inner_start, rng, budget, lower_bound)]
     # no component is sufficient: each covers as many of the uncovered rows as it can
     selected = instance.fixed[:0]
     for columns in components:
@@ -124,8 +124,8 @@ def _select_connected(
         inside = instance.restricted(rows, np.isin(np.arange(instance.n_columns), columns))
         inside = replace(inside, full=True)
         with budget.portion(0.5):
-            found = _improve_connected(inside, np.searchsorted(columns, fixed), rng, budget, 0)
-        selected = np.union1d(selected, columns[found])
+            improved = _improve_connected(inside, np.searchsorted(columns, fixed), rng, budget, 0)
+        selected = np.union1d(selected, columns[improved])
     return selected
 
 

@@ -412,14 +412,14 @@ def overlap_adjacency(M: Any, areas: ArrayLike, overlap: Overlap) -> Graph:
     matrix: Any = sp.csc_array(M, dtype=bool).astype(np.float64)
     weighted: Any = sp.csc_array(sp.diags_array(np.asarray(areas, dtype=np.float64)) @ matrix)
     n = matrix.shape[1]
-    own = np.asarray(weighted.sum(axis=0)).ravel()
+    column_areas = np.asarray(weighted.sum(axis=0)).ravel()
     adjacent = np.zeros((n, n), dtype=np.uint8)
     for first in range(0, n, _GRAPH_BLOCK):
         block = slice(first, first + _GRAPH_BLOCK)
         shared = (matrix[:, block].T @ weighted).toarray()
         required: Any = overlap.area
         if overlap.share is not None:
-            required = overlap.share * np.minimum(own[block, None], own[None, :])
+            required = overlap.share * np.minimum(column_areas[block, None], column_areas[None, :])
         adjacent[block] = (shared >= required * (1 - _OVERLAP_ROUNDING)) & (shared > 0)
     np.fill_diagonal(adjacent, 0)
     return adjacent

@@ -199,8 +199,8 @@ def canonical_form(problem: CoverProblem) -> CanonicalForm:
 
 def _checked(problem: CoverProblem) -> tuple[Any, Bools, Ints]:
     """Return the loads by column, (V,) whether each column is usable, and the pinned columns."""
-    given: Any = problem.matrix if sp.issparse(problem.matrix) else np.asarray(problem.matrix)
-    matrix: Any = sp.csc_array(given)
+    original: Any = problem.matrix if sp.issparse(problem.matrix) else np.asarray(problem.matrix)
+    matrix: Any = sp.csc_array(original)
     matrix.sum_duplicates()
     matrix.eliminate_zeros()
     if matrix.dtype == np.int64:
@@ -288,26 +288,28 @@ def _integer_costs(
         group_costs: (G,) cost of each group.
     """
     n_columns = len(useful)
-    given = np.ones(n_columns) if costs is None else np.array(costs, dtype=np.float64)
-    if given.shape != (n_columns,):
+    column_costs = np.ones(n_columns) if costs is None else np.array(costs, dtype=np.float64)
+    if column_costs.shape != (n_columns,):
         raise PlannerError(
-            f"costs has shape {given.shape}; the matrix has {n_columns} columns, so it must be ({n_columns},)"
+            f"costs has shape {column_costs.shape}; the matrix has {n_columns} columns, so it must be ({n_columns},)"
         )
-    bad = np.flatnonzero(~(np.isfinite(given) & (given > 0)))
+    bad = np.flatnonzero(~(np.isfinite(column_costs) & (column_costs > 0)))
     if len(bad):
-        raise PlannerError(f"costs[{bad[0]}] is {given[bad[0]]}; a cost must be a finite number above zero")
-    given[~useful] = given[useful].min(initial=given.max(initial=1.0))
-    top = max(float(given[~forced].max(initial=0.0)), float(group_costs.max(initial=0.0))) or float(
-        given.max(initial=1.0)
+        raise PlannerError(f"costs[{bad[0]}] is {column_costs[bad[0]]}; a cost must be a finite number above zero")
+    column_costs[~useful] = column_costs[useful].min(initial=column_costs.max(initial=1.0))
+    top = max(float(column_costs[~forced].max(initial=0.0)), float(group_costs.max(initial=0.0))) or float(
+        column_costs.max(initial=1.0)
     )
-    given[forced] = np.minimum(given[forced], top)  # every selection has them, and is priced with the caller's costs
-    both = np.concatenate((given, group_costs))
+    column_costs[forced] = np.minimum(
+        column_costs[forced], top
+    )  # every selection has them, and is priced with the caller's costs
+    both = np.concatenate((column_costs, group_costs))
     if both.max(initial=0.0) <= COST_UNITS and (both == np.rint(both)).all():
         whole = both.astype(np.int64)
         divisor = max(int(np.gcd.reduce(whole)), 1)
         return whole[:n_columns] // divisor, whole[n_columns:] // divisor, float(divisor)
     highest = min(COST_UNITS, MAX_COST_SUM // max(len(both), 1))
-    units = np.maximum(np.rint(given / top * highest), 1.0).astype(np.int64)
+    units = np.maximum(np.rint(column_costs / top * highest), 1.0).astype(np.int64)
     groups = np.rint(group_costs / top * highest).astype(np.int64)
     if (units == units[0]).all() and not groups.any():
         return np.ones(n_columns, dtype=np.int64), groups, top
@@ -365,10 +367,10 @@ def _reduce_once(reduction: Reduction, budget: Budget, only_forced: bool) -> tup
     if only_forced or not instance.has_unit_loads:
         return reduction, False
     instance = _merge_rows(instance)
-    kept_columns = ~_dominated_columns(instance, budget)
-    kept_rows = ~_dominated_rows(instance, budget) if instance.full else np.ones(instance.n_rows, dtype=bool)
-    if not (kept_columns.all() and kept_rows.all()):
-        instance, columns = instance.restricted(kept_rows, kept_columns), columns[kept_columns]
+    remaining_columns = ~_dominated_columns(instance, budget)
+    remaining_rows = ~_dominated_rows(instance, budget) if instance.full else np.ones(instance.n_rows, dtype=bool)
+    if not (remaining_columns.all() and remaining_rows.all()):
+        instance, columns = instance.restricted(remaining_rows, remaining_columns), columns[remaining_columns]
     min_removed = MIN_GAIN * entries if entries > LARGE else 0.0
     again = instance.shape != shape and entries - instance.n_entries >= min_removed
     return Reduction(instance, forced, columns), again
@@ -401,17 +403,17 @@ def _merge_rows(instance: CoverInstance) -> CoverInstance:
     # Equal hashes do not prove equal sets: compare the members.
     ends = np.cumsum(lengths[previous[pairs]])
     for block in slice_blocks(ends - lengths[previous[pairs]]):
-        some = pairs[block]
-        first, count = gather_slices(start, members, previous[some])
-        second, _ = gather_slices(start, members, current[some])
-        equal[some] = np.logical_and.reduceat(first == second, np.cumsum(count) - count)
+        chunk = pairs[block]
+        first, count = gather_slices(start, members, previous[chunk])
+        second, _ = gather_slices(start, members, current[chunk])
+        equal[chunk] = np.logical_and.reduceat(first == second, np.cumsum(count) - count)
     group = np.concatenate(([0], np.cumsum(~equal)))
     leader = order[np.concatenate(([True], ~equal))]
     summed = np.zeros(instance.n_rows, dtype=np.int64)
     np.add.at(summed, leader[group], instance.units[order])
-    kept = np.zeros(instance.n_rows, dtype=bool)
-    kept[leader] = True
-    return instance.restricted(rows=kept, units=summed)
+    is_leader = np.zeros(instance.n_rows, dtype=bool)
+    is_leader[leader] = True
+    return instance.restricted(rows=is_leader, units=summed)
 
 
 def _dominated_columns(instance: CoverInstance, budget: Budget) -> Bools:
@@ -480,18 +482,18 @@ def _find_dominated(
     Returns:
         (N,) bool.
     """
-    gone = np.zeros(len(sizes), dtype=np.bool_)
+    is_dominated = np.zeros(len(sizes), dtype=np.bool_)
     for j in range(len(sizes)):
-        if sizes[j] == 0 or (drop_larger and gone[j]):
+        if sizes[j] == 0 or (drop_larger and is_dominated[j]):
             continue
-        found = 0
+        common = 0
         for at in range(of_start[rarest[j]], of_start[rarest[j] + 1]):
             other = of_member[at]
             if other == j or sizes[other] < sizes[j] or price[other] > price[j]:
                 continue
             if sizes[other] == sizes[j] and price[other] == price[j] and (other > j) != drop_larger:
                 continue
-            if (drop_larger and gone[other]) or (group[other] >= 0 and group[other] != group[j]):
+            if (drop_larger and is_dominated[other]) or (group[other] >= 0 and group[other] != group[j]):
                 continue
             inside = True
             for word in range(bits.shape[1]):
@@ -501,10 +503,10 @@ def _find_dominated(
             if not inside:
                 continue
             if drop_larger:
-                gone[other] = True
+                is_dominated[other] = True
                 continue
-            found += 1
-            if found >= need[j]:
-                gone[j] = True
+            common += 1
+            if common >= need[j]:
+                is_dominated[j] = True
                 break
-    return gone
+    return is_dominated

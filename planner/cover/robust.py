@@ -131,9 +131,9 @@ def robust_cover(
     if layer.members == 0:
         cover = solve(problem, rng=rng)
     else:
-        kept = sp.csr_array(integer_loads)
-        kept.data = kept.data * np.repeat(coverable, np.diff(kept.indptr))
-        robust = solve(replace(problem, matrix=kept, demand=DEMAND), rng=rng, effort_budget=effort_budget)
+        coverable_loads = sp.csr_array(integer_loads)
+        coverable_loads.data = coverable_loads.data * np.repeat(coverable, np.diff(coverable_loads.indptr))
+        robust = solve(replace(problem, matrix=coverable_loads, demand=DEMAND), rng=rng, effort_budget=effort_budget)
         cover = reweighted(problem, nominal, replace(robust, solver="robust"), robust.views)
     load_sums = np.asarray(integer_loads[:, cover.views].sum(axis=1)).ravel()
     p = sp.csr_array((layer.probability, layer.indices, layer.indptr), shape=integer_loads.shape)[:, cover.views]

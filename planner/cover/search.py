@@ -135,28 +135,28 @@ def prune(instance: CoverInstance, columns: Ints) -> Ints:
     loads = instance.loads(columns)
     uncovered = int(instance.units[loads < instance.demand].sum())
     slack = 0 if instance.maximises_area else instance.slack - uncovered
-    kept = columns[np.lexsort((np.arange(len(columns)), instance.costs[columns]))].tolist()
+    remaining = columns[np.lexsort((np.arange(len(columns)), instance.costs[columns]))].tolist()
     again = True
     while again:
         again = False
-        for column in kept[::-1]:
+        for column in remaining[::-1]:
             rows = instance.rows_of(column)
             less = loads[rows] - instance.load_of(column)
             is_lost = (loads[rows] >= instance.demand[rows]) & (less < instance.demand[rows])
-            lost = int(instance.units[rows[is_lost]].sum())
-            if lost > slack or column in instance.fixed:
+            loss = int(instance.units[rows[is_lost]].sum())
+            if loss > slack or column in instance.fixed:
                 continue
             if len(instance.adjacent):
-                others = np.array([j for j in kept if j != column], dtype=np.int64)
+                others = np.array([j for j in remaining if j != column], dtype=np.int64)
                 if not is_connected(instance.adjacent, others):
                     continue
                 again = True  # in a graph, a removal may make another column redundant
-            kept.remove(column)
+            remaining.remove(column)
             loads[rows] = less
-            slack -= lost
-    is_kept = np.zeros(instance.n_columns, dtype=bool)
-    is_kept[kept] = True
-    return columns[is_kept[columns]]
+            slack -= loss
+    is_selected = np.zeros(instance.n_columns, dtype=bool)
+    is_selected[remaining] = True
+    return columns[is_selected[columns]]
 
 
 def order_by_marginal_area(instance: CoverInstance, columns: Ints) -> tuple[Ints, list[Ints]]:
@@ -169,8 +169,8 @@ def order_by_marginal_area(instance: CoverInstance, columns: Ints) -> tuple[Ints
     rows = {j: instance.rows_of(j) for j in columns.tolist()}
 
     def gain(column: int) -> int:
-        own = rows[column]
-        return int(instance.units[own[deficit[own] > 0]].sum())
+        column_rows = rows[column]
+        return int(instance.units[column_rows[deficit[column_rows] > 0]].sum())
 
     # Gains only fall, so an up-to-date gain at the top of the heap is the largest; canonical order decides ties.
     heap = [(-gain(column), column) for column in rows]
@@ -183,11 +183,11 @@ def order_by_marginal_area(instance: CoverInstance, columns: Ints) -> tuple[Ints
             heapq.heapreplace(heap, (now, best))
             continue
         heapq.heappop(heap)
-        own = rows[best]
-        was_open = deficit[own] > 0
-        deficit[own] -= instance.load_of(best)
+        column_rows = rows[best]
+        was_open = deficit[column_rows] > 0
+        deficit[column_rows] -= instance.load_of(best)
         order.append(best)
-        added.append(own[was_open & (deficit[own] <= 0)])
+        added.append(column_rows[was_open & (deficit[column_rows] <= 0)])
     return np.array(order, dtype=np.int64), added
 
 
@@ -263,15 +263,15 @@ class LocalSearch:
         best, effort, self._start_effort = int(numbers[BEST]), self._start_effort, 0
         while budget.spend(effort):
             limit = min(CHUNK_EFFORT, max(int(budget.remaining / far), 1))
-            done = run_steps(state, instance.full, instance.maximises_area, target, self._max_tenure, limit)
-            if done < 0:
+            step_effort = run_steps(state, instance.full, instance.maximises_area, target, self._max_tenure, limit)
+            if step_effort < 0:
                 break
-            effort = int(done * far)
+            effort = int(step_effort * far)
             self._waited += 1
             if numbers[BEST] < best:
                 best, self._waited = int(numbers[BEST]), 0
-                found = prune(instance, state.columns[BEST_MEMBER, : numbers[BEST_MEMBERS]])
-                budget.offer(self._names[found], instance.objective(found))
+                pruned = prune(instance, state.columns[BEST_MEMBER, : numbers[BEST_MEMBERS]])
+                budget.offer(self._names[pruned], instance.objective(pruned))
             elif self._waited == chunks:
                 break
             elif self._waited > self._patience:
@@ -288,7 +288,7 @@ class LocalSearch:
         columns[PLACE], columns[STAMP], columns[LOSS], state.groups[N_SELECTED] = -1, 0, 0, 0
         columns[STACK, : len(selected)], numbers[FIRST_MEMBERS] = selected, len(selected)
         numbers[OPEN], numbers[MISSING], numbers[TABU] = instance.n_rows, instance.total_units, -1
-        numbers[MEMBERS] = numbers[SPENT] = 0
+        numbers[MEMBERS] = numbers[TOTAL_COST] = 0
         loads = 1 if instance.has_unit_loads else instance.column_load
         weighted = rows[WEIGHT][instance.column_rows] * loads
         column_weight = np.add.reduceat(np.append(weighted, 0), instance.column_start[:-1])
@@ -375,8 +375,8 @@ and the place of each column in it (-1: outside); the best selection; three of s
 FIRST_COST, N_SELECTED = range(2)
 """Fields of a group in `SearchState.groups`: additional cost of its first column; number of its selected columns."""
 
-(MOVES, MEMBERS, OPEN, SPENT, BEST, BEST_MEMBERS, TABU, MISSING, LIMIT, ALLOWED, COMPONENT_WEIGHT, STEPS, HAS_COSTS,
- CHEAPEST, UNIT_DEMAND, EFFORT, FIRST_MEMBERS, N_NUMBERS) = range(18)  # fmt: skip
+(MOVES, MEMBERS, OPEN, TOTAL_COST, BEST, BEST_MEMBERS, TABU, MISSING, LIMIT, ALLOWED, COMPONENT_WEIGHT, STEPS,
+ HAS_COSTS, CHEAPEST, UNIT_DEMAND, EFFORT, FIRST_MEMBERS, N_NUMBERS) = range(18)  # fmt: skip
 """Numbers of a search: moves; selected columns; uncovered rows; cost of the selection; objective and size of the best
 one; column that came last; missing units; cost up to which columns enter; units that may be missing; weight of a
 component of the graph beyond one; steps; whether costs differ; the smallest cost; whether each row demands 1 and each
@@ -418,7 +418,7 @@ def move(s: SearchState, column: int, sign: int) -> None:
     column_start, column_rows, column_load = s.column_start, s.column_rows, s.column_load
     numbers[MOVES] += 1
     columns[STAMP, column] = numbers[MOVES]
-    numbers[SPENT] += sign * column_cost(columns, groups, column, NEVER if sign > 0 else IN)
+    numbers[TOTAL_COST] += sign * column_cost(columns, groups, column, NEVER if sign > 0 else IN)
     groups[N_SELECTED, columns[GROUP, column]] += sign
     if sign > 0:
         columns[PLACE, column] = numbers[MEMBERS]
@@ -623,13 +623,13 @@ def is_feasible(numbers: Any, full: bool, components: int) -> Any:
 @compiled
 def record_best(numbers: Any, columns: Any, maximises_area: bool) -> None:
     """Record the selection as the best one; the next must be better."""
-    numbers[BEST], numbers[BEST_MEMBERS] = numbers[MISSING] if maximises_area else numbers[SPENT], numbers[MEMBERS]
+    numbers[BEST], numbers[BEST_MEMBERS] = numbers[MISSING] if maximises_area else numbers[TOTAL_COST], numbers[MEMBERS]
     for position in range(numbers[MEMBERS]):
         columns[BEST_MEMBER, position] = columns[MEMBER, position]
     if maximises_area:
         numbers[ALLOWED] = numbers[MISSING] - 1
     else:
-        numbers[LIMIT] = numbers[SPENT] - 1
+        numbers[LIMIT] = numbers[TOTAL_COST] - 1
 
 
 @compiled
@@ -677,7 +677,7 @@ def run_steps(s: SearchState, full: bool, maximises_area: bool, target: int, max
         move(s, out, OUT)
         while True:
             components = label_components(s, NONE, ALL) if has_graph else 0
-            if is_feasible(numbers, full, components) or numbers[SPENT] + numbers[CHEAPEST] > numbers[LIMIT]:
+            if is_feasible(numbers, full, components) or numbers[TOTAL_COST] + numbers[CHEAPEST] > numbers[LIMIT]:
                 break
             by_row = numbers[OPEN] > 0 and not (has_graph and draw(s.random, TEN) < 3)
             row: Any = s.rows[OPEN_ROW, draw(s.random, numbers[OPEN])] if by_row else np.int64(-1)
@@ -686,7 +686,7 @@ def run_steps(s: SearchState, full: bool, maximises_area: bool, target: int, max
                 column = select_entering(s, NONE, out, components, tenure, sample)
             if column < 0:
                 break
-            if numbers[SPENT] + column_cost(s.columns, s.groups, column, NEVER) > numbers[LIMIT]:
+            if numbers[TOTAL_COST] + column_cost(s.columns, s.groups, column, NEVER) > numbers[LIMIT]:
                 break
             move(s, column, IN)
             numbers[TABU] = column

@@ -117,34 +117,34 @@ def _solve_regions(
         raise PlannerError("region_coverage and weights cannot be combined with overlap or groups; remove one of them")
     regions = _Regions(problem)
     if not len(regions.coverage):
-        found = solve_single(replace(problem, areas=regions.weights, weights=None), 1.0)
-        return found if problem.max_views is not None else regions.in_areas(found, found.views)
+        answer = solve_single(replace(problem, areas=regions.weights, weights=None), 1.0)
+        return answer if problem.max_views is not None else regions.in_areas(answer, answer.views)
     if problem.max_views is not None:
         raise PlannerError("max_views maximises the area: it cannot be combined with region_coverage")
     has_slack = regions.slack > 0
     u = has_slack / max(int(has_slack.sum()), 1)
     if has_slack.sum() <= 1:
-        found = solve_single(regions.surrogate(u, 1.0), 1.0)
-        return regions.in_areas(found, found.views)
+        answer = solve_single(regions.surrogate(u, 1.0), 1.0)
+        return regions.in_areas(answer, answer.views)
     bounds: list[Cover] = []
     for _ in range(_ROUNDS):
-        found = solve_single(regions.surrogate(u, 1.0), _PROBE_SHARE)
-        bounds.append(found)
-        if regions.meets_targets(found.views):
+        answer = solve_single(regions.surrogate(u, 1.0), _PROBE_SHARE)
+        bounds.append(answer)
+        if regions.meets_targets(answer.views):
             break
-        u[has_slack] *= np.maximum(regions.uncovered(found.views)[has_slack] / regions.slack[has_slack], 0.1)
+        u[has_slack] *= np.maximum(regions.uncovered(answer.views)[has_slack] / regions.slack[has_slack], 0.1)
         u /= u.sum()
     bounds.append(solve_single(regions.surrogate(u, 1.0), _FINAL_SHARE))
     if regions.meets_targets(bounds[-1].views):
-        found = bounds[-1]
+        answer = bounds[-1]
     least = float(u[has_slack].min())
     for position in (*_TIGHTER, 0.0):
-        if regions.meets_targets(found.views):
+        if regions.meets_targets(answer.views):
             break
-        found = solve_single(regions.surrogate(u, least + position * (1 - least)), _PROBE_SHARE)
-    if start is not None and regions.accepts(start) and regions.cost(start) < regions.cost(found.views):
-        found = regions.in_areas(found, start)
-    return _with_bounds(regions, found, bounds)
+        answer = solve_single(regions.surrogate(u, least + position * (1 - least)), _PROBE_SHARE)
+    if start is not None and regions.accepts(start) and regions.cost(start) < regions.cost(answer.views):
+        answer = regions.in_areas(answer, start)
+    return _with_bounds(regions, answer, bounds)
 
 
 class _Regions:
@@ -211,23 +211,23 @@ class _Regions:
         coverage = max(1.0 - limit / total, 0.0) if total > 0 and (self.slack > 0).any() else 1.0
         return replace(self.problem, areas=weight, coverage=coverage, weights=None, region=None, region_coverage=())
 
-    def in_areas(self, found: Cover, views: Ints) -> Cover:
+    def in_areas(self, answer: Cover, views: Ints) -> Cover:
         """Return the answer in areas."""
-        return reweighted(self.problem, self._form, found, views)
+        return reweighted(self.problem, self._form, answer, views)
 
 
-def _with_bounds(regions: _Regions, found: Cover, bounds: list[Cover]) -> Cover:
+def _with_bounds(regions: _Regions, single: Cover, bounds: list[Cover]) -> Cover:
     """Return the answer to all targets without redundant views, with the best bound of the surrogate problems."""
-    views = found.views
+    views = single.views
     for view in reversed(views.tolist()):
         others = views[views != view]
-        if view not in found.pinned and regions.meets_targets(others):
+        if view not in single.pinned and regions.meets_targets(others):
             views = others
-    answer = regions.in_areas(found, views)
+    answer = regions.in_areas(single, views)
     lower_bound = min(max(each.lower_bound for each in bounds), len(views))
     cost_and_bound = None
     is_proven = lower_bound == len(views)
-    if found.cost_and_bound is not None:
+    if single.cost_and_bound is not None:
         cost = regions.cost(views)
         cost_bound = min(max(each.cost_bound for each in bounds), cost)
         cost_and_bound = (cost, cost_bound)

@@ -93,8 +93,8 @@ class SolverTask:
         if len(core) > CORE * instance.n_columns or not is_feasible:
             return LocalSearch(instance, self.incumbent, self.rng)
         inside = instance.restricted(columns=useful)
-        kept = np.searchsorted(core, self.incumbent[useful[self.incumbent]])
-        start = prune(inside, complete(inside, kept))
+        inner_start = np.searchsorted(core, self.incumbent[useful[self.incumbent]])
+        start = prune(inside, complete(inside, inner_start))
         self.budget.offer(core[start], inside.objective(start))  # it may already be better
         return LocalSearch(inside, start, self.rng, core)
 
@@ -116,14 +116,14 @@ def auto(task: SolverTask) -> None:
     """
     if task.instance.n_columns <= SMALL:
         task.prove()
-    search, tried = None, -1
+    search, last_objective = None, -1
     for share in SEARCH_SHARES:
         if task.budget.spend(0):
             search = search or task.core_search()
             with task.budget.portion(share):
                 search.run(task.budget, EARLY_CHUNKS if task.proof_share > FAR_PROOF_SHARE else None)
-        if task.may_be_proven and task.budget.objective != tried and task.budget.spend(0):
-            tried = task.budget.objective
+        if task.may_be_proven and task.budget.objective != last_objective and task.budget.spend(0):
+            last_objective = task.budget.objective
             with task.budget.portion(task.proof_share):
                 task.prove()
     if search and task.budget.spend(0):
@@ -173,12 +173,12 @@ def solve_instance(
     forced_cost = instance.objective(selected) - reduction.instance.objective(inner)
     if instance.objective(first) < instance.objective(selected):
         selected = first
-    found = instance.objective(selected) - forced_cost
+    objective = instance.objective(selected) - forced_cost
     min_columns = 0
     if relaxation and (limit := instance.max_columns) is not None:
         sizes = range(limit + 1)
-        min_columns = next(k for k in sizes if k == limit or relaxation.certified_uncovered(k) <= found)
-    return selected, forced_cost + min(budget.lower_bound, found), min_columns
+        min_columns = next(k for k in sizes if k == limit or relaxation.certified_uncovered(k) <= objective)
+    return selected, forced_cost + min(budget.lower_bound, objective), min_columns
 
 
 def _first_selection(
@@ -213,8 +213,8 @@ def _solve_reduced(
         return nothing, None
     if not instance.maximises_area:
         budget.raise_lower_bound(int(instance.costs.min()))  # one column at least, if Ctrl-C precedes the bound
-    kept = prune(instance, complete(instance, reduction.project(first)))
-    budget.offer(kept, instance.objective(kept))
+    selection = prune(instance, complete(instance, reduction.project(first)))
+    budget.offer(selection, instance.objective(selection))
     relaxation = None
     with budget.stopped_by_interrupt():
         relaxation = Relaxation(instance)

@@ -70,15 +70,15 @@ def close_gap(relaxation: Relaxation, budget: Budget) -> None:
             continue
         if counts_columns(instance):
             rows = (relaxation.multipliers > 0) | instance.maximises_area
-            found, is_complete = search_by_number(instance, rows, useful, target, budget)
+            selection, is_complete = search_by_number(instance, rows, useful, target, budget)
         else:
             budget.spend(12 * instance.n_entries)
             inside = Relaxation(instance.restricted(columns=useful))
             model = LinearModel(inside, _decisive_rows(relaxation))
-            found, is_complete = _search_by_programme(inside, model, target, budget)
-            found = None if found is None else core[found]
-        if found is not None:
-            budget.offer(found, instance.objective(found))
+            selection, is_complete = _search_by_programme(inside, model, target, budget)
+            selection = None if selection is None else core[selection]
+        if selection is not None:
+            budget.offer(selection, instance.objective(selection))
         elif is_complete:
             # Columns outside the core are no better; the tree may have found better areas than it began with.
             budget.raise_lower_bound(_target_objective(relaxation, budget) + 1)
@@ -130,9 +130,9 @@ def _search_by_programme(
         free = fixing == 0
         fractionality = np.where(free, np.abs(x - np.rint(x)), -1.0)
         if fractionality.max() <= INTEGRAL:
-            found = prune(instance, complete(instance, np.flatnonzero(x > 0.5)))
-            if instance.objective(found) <= target:
-                return found, False
+            rounded = prune(instance, complete(instance, np.flatnonzero(x > 0.5)))
+            if instance.objective(rounded) <= target:
+                return rounded, False
             if not free.any():
                 continue
             fractionality = np.where(free, x, -1.0)  # rows may be partly uncovered though columns are integral
@@ -178,8 +178,8 @@ def search_by_number(
     while budget.spend(12 * instance.n_entries):
         question = _Question(instance, rows, columns, size, allowed, budget)
         while (answer := question.answer(budget)) is not None:
-            found = names[answer]
-            better = prune(instance, complete(instance, found))
+            selection = names[answer]
+            better = prune(instance, complete(instance, selection))
             if instance.objective(better) > target:
                 break
             if not instance.maximises_area or not budget.offer(better, instance.objective(better)):
@@ -188,7 +188,7 @@ def search_by_number(
             question.set_allowed(allowed)
         if answer is None:
             return None, question.is_complete
-        new = np.flatnonzero(~instance.satisfied(found) & ~rows)
+        new = np.flatnonzero(~instance.satisfied(selection) & ~rows)
         priority = np.diff(instance.row_start)[new] if instance.full else -instance.units[new]
         count = max(MIN_ROWS, int(MORE_ROWS * rows.sum()))
         rows[new[np.argsort(priority, kind="stable")[:count]]] = True
@@ -230,7 +230,7 @@ class _Question:
             if result == FOUND:
                 level, n_top = tree.numbers[[LEVEL, N_SELECTED]]
                 largest = tree.columns[ID, tree.levels[FIRST_COLUMN, level] + tree.top[:n_top]]
-                return self._reduction.lift(np.concatenate((tree.levels[TAKEN, :level], largest)))
+                return self._reduction.lift(np.concatenate((tree.levels[FIXED_COLUMN, :level], largest)))
             if result == FULL:
                 rows, columns, entries = (
                     np.concatenate((a, np.zeros_like(a)), axis=-1) for a in (tree.rows, tree.columns, tree.entries)
@@ -253,7 +253,7 @@ MARGIN = 1e-9
 ROOT_STEPS, FIRST_STEPS, STEPS = 200, 30, 8
 """Steps of the multipliers at the root, in a new node, and after a column was fixed out of it."""
 
-DEFLECTION, SHRINK, MIN_LENGTH, PROGRESS, BEYOND = 0.5, 0.7, 0.1, 1e-4, 0.01
+DEFLECTION, SHRINK, MIN_LENGTH, PROGRESS, OVERSHOOT = 0.5, 0.7, 0.1, 1e-4, 0.01
 """Share of the previous direction in the next (with 0.3 trees are twice as large, with 0.8 ten times). Factor of the
 step length if the bound did not grow by the share `PROGRESS` of the gap; steps end below the third. Distance beyond the
 allowed units at which a step aims, as a share of the mean sum of a selected column."""
@@ -268,7 +268,7 @@ LEVEL, EFFORT, ALLOWED, N_SELECTED = range(4)
 """Numbers of a tree: level of the node (-1 at the end); effort; units that may stay uncovered; number of columns of
 `Tree.top` in the selection that was found, in addition to the fixed ones."""
 
-ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, TAKEN = range(8)
+ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, FIXED_COLUMN = range(8)
 """Fields of a level: numbers of rows and columns of its node; columns that may still be added; begin of rows, columns
 and entries in their arrays; number of visits; column that its child fixes in."""
 
@@ -297,7 +297,7 @@ class Tree(NamedTuple):
 
 def _root(instance: CoverInstance, left: int) -> Tree:
     """Return the root: all rows are uncovered; a row's multiplier is its units, which is optimal for one column."""
-    levels = np.zeros((TAKEN + 1, left + 2), dtype=np.int64)
+    levels = np.zeros((FIXED_COLUMN + 1, left + 2), dtype=np.int64)
     levels[[ROWS, COLUMNS, LEFT], 0] = instance.n_rows, instance.n_columns, left
     levels[[FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY], 1] = instance.n_rows, instance.n_columns, instance.n_entries
     begin, end = instance.column_start[:-1], instance.column_start[1:]
@@ -411,7 +411,7 @@ def bound_node(t: Tree, level: int, steps: int) -> int:
                 norm += d * d * unit * unit
         if norm == 0.0:
             break
-        step = length * (allowed + BEYOND * total / left - bound) / norm
+        step = length * (allowed + OVERSHOOT * total / left - bound) / norm
         for i in range(n_rows):
             unit = units[r0 + i]
             to = max(u[r0 + i] + step * direction[i] * unit * unit, 0.0)
@@ -467,7 +467,7 @@ def descend(t: Tree, level: int, c: int) -> bool:
     room = min(t.rows.shape[1] - r1 - n_rows, columns.shape[1] - c1 - levels[COLUMNS, level], len(entries) - e1 - size)
     if room < 0:
         return False
-    levels[TAKEN, level] = columns[ID, c0 + c]
+    levels[FIXED_COLUMN, level] = columns[ID, c0 + c]
     for i in range(n_rows):
         place[i] = 0
     for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):

@@ -124,8 +124,8 @@ class VoxelSpace(Value):
 
     def outside(self, points: Floats) -> Bools:
         """Return (N,) whether points (N, 3) [m] are outside the cylinder by more than a voxel."""
-        beyond = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
-        return np.asarray(beyond | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
+        is_outside = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
+        return np.asarray(is_outside | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
 
     def values_at(self, points: Floats, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Return the (N,) values of an (X, Y, Z) array at points (N, 3) [m]; outside the grid those of its border."""
@@ -281,9 +281,9 @@ class VoxelSpace(Value):
 
     def _has_neighbour(self, known: Floats, points: Floats, normals: Floats) -> Bools:
         """Return (N,) whether one of the `known` positions (P, 3) next to each point is within a gap of its normal."""
-        found, tree = np.zeros(len(points), dtype=np.bool_), _tree(known)
+        has_neighbour, tree = np.zeros(len(points), dtype=np.bool_), _tree(known)
         for n_neighbours in (1, _NEIGHBOURS):  # the nearest one decides most
-            left = np.flatnonzero(~found)
+            left = np.flatnonzero(~has_neighbour)
             k = np.arange(1, n_neighbours + 1)
             distance, at = map(np.asarray, tree.query(points[left], k=k, distance_upper_bound=self._max_distance))
             which, _ = np.nonzero(np.isfinite(distance))
@@ -291,8 +291,8 @@ class VoxelSpace(Value):
             height = np.einsum("ij,ij->i", offsets, along)
             across = np.linalg.norm(offsets - height[:, None] * along, axis=1)
             on_surface = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
-            found[left] = np.bincount(which[(across <= self.gap) & on_surface], minlength=len(left)) > 0
-        return found
+            has_neighbour[left] = np.bincount(which[(across <= self.gap) & on_surface], minlength=len(left)) > 0
+        return has_neighbour
 
     def _thinned(self, points: Floats) -> Floats:
         """Return the first of the points (N, 3) [m] in each of small cubes."""

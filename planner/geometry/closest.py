@@ -101,10 +101,10 @@ def closest_facing_faces(points: Floats, normals: Floats, mesh: TriangleMesh) ->
     nearest = closest.distance[away] + np.sqrt(mesh.areas.mean())
     group = np.where(facing.any(axis=1), np.argmax(facing @ _DIRECTIONS.T, axis=1), -1)
     for rows in (np.flatnonzero(group == direction) for direction in np.unique(group[group >= 0])):
-        found = ClosestPointQuery(TriangleMesh(mesh.vertices, mesh.faces[rows])).closest(points[away])
-        same_side = np.einsum("nj,nj->n", normals[away], facing[rows[found.face]]) > 0
-        better = same_side & (found.distance < nearest)
-        nearest[better], face[away[better]] = found.distance[better], rows[found.face[better]]
+        facing_closest = ClosestPointQuery(TriangleMesh(mesh.vertices, mesh.faces[rows])).closest(points[away])
+        same_side = np.einsum("nj,nj->n", normals[away], facing[rows[facing_closest.face]]) > 0
+        better = same_side & (facing_closest.distance < nearest)
+        nearest[better], face[away[better]] = facing_closest.distance[better], rows[facing_closest.face[better]]
     return face
 
 

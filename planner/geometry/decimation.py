@@ -70,9 +70,9 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     if face_count < 1:
         raise PlannerError(f"face_count is {face_count}; it must be at least 1")
     if (coarse := cluster_vertices(mesh, max(_MANY, _EACH * face_count))) is not None:
-        found = _decimate_clean(coarse, face_count)
-        if not _flaws(found, face_count)[0]:
-            return found
+        mesh_copy = _decimate_clean(coarse, face_count)
+        if not _flaws(mesh_copy, face_count)[0]:
+            return mesh_copy
     return _decimate_clean(_clean(mesh.vertices, mesh.faces), face_count)
 
 
@@ -163,14 +163,14 @@ def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
     """Drop faces without area, repeated faces and unused vertices; the order stays."""
     extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
     twice = row_norms(face_cross_products(vertices, faces))
-    kept = faces[twice > 1e-14 * extent**2]  # below, the cross product is rounding
-    low, between, high = np.sort(kept, axis=1).T
+    remaining = faces[twice > 1e-14 * extent**2]  # below, the cross product is rounding
+    low, between, high = np.sort(remaining, axis=1).T
     order = np.lexsort((high, between, low))  # stable: of equal faces the first stays
     again = (np.diff(low[order]) == 0) & (np.diff(between[order]) == 0) & (np.diff(high[order]) == 0)
-    kept = np.delete(kept, order[1:][again], axis=0)
-    if not len(kept):
+    remaining = np.delete(remaining, order[1:][again], axis=0)
+    if not len(remaining):
         raise PlannerError("no face of the mesh has an area; a surface needs at least one")
-    return _without_unused(vertices, kept)
+    return _without_unused(vertices, remaining)
 
 
 def _without_unused(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
@@ -199,8 +199,8 @@ def cluster_vertices(mesh: TriangleMesh, face_count: int) -> TriangleMesh | None
     vertices = np.stack([np.bincount(cell, weights=axis) / members for axis in mesh.vertices.T], axis=1)
     faces = cell.astype(np.int32)[mesh.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    kept = _cancel_opposite(faces, len(vertices))
-    return _without_unused(vertices, kept) if len(kept) else None
+    remaining = _cancel_opposite(faces, len(vertices))
+    return _without_unused(vertices, remaining) if len(remaining) else None
 
 
 def _thin_share(mesh: TriangleMesh, cell: Ints) -> float:
@@ -265,8 +265,8 @@ def contract_short_edges(vertices: Floats, faces: Ints32, shortest: float) -> tu
         short[short] = _common_neighbours(edges, edges[short], len(vertices)) == degree[short]
         edges = edges[short][order.permutation(int(short.sum()))]
         bend = _bend(vertices, faces)
-        kept = np.where(bend[edges[:, 0]] >= bend[edges[:, 1]], edges[:, 0], edges[:, 1])
-        edges = np.stack([kept, edges.sum(axis=1) - kept], axis=1)
+        firsts = np.where(bend[edges[:, 0]] >= bend[edges[:, 1]], edges[:, 0], edges[:, 1])
+        edges = np.stack([firsts, edges.sum(axis=1) - firsts], axis=1)
         edges = edges[~_turns_a_face(vertices, faces, edges)]
         edges = _independent(edges, faces, len(vertices))
         if not len(edges):
@@ -297,8 +297,8 @@ def split_long_edges(vertices: Floats, faces: Ints32, longest: float) -> tuple[F
     squared = np.einsum("fej,fej->fe", sides, sides)
     start, end = faces, np.roll(faces, -1, axis=1)
     key = np.minimum(start, end).astype(np.int64) * len(vertices) + np.maximum(start, end)
-    chosen = (squared > longest**2) & (squared >= squared.max(axis=1, keepdims=True) * (1 - 1e-9))
-    edge = np.unique(key[chosen])
+    is_split = (squared > longest**2) & (squared >= squared.max(axis=1, keepdims=True) * (1 - 1e-9))
+    edge = np.unique(key[is_split])
     if not len(edge):
         return vertices, faces
     place = np.minimum(np.searchsorted(edge, key), len(edge) - 1)
@@ -315,11 +315,11 @@ def unique_edges(faces: Ints32) -> tuple[Ints32, Ints]:
     return np.stack([key // size, key % size], axis=1).astype(np.int32), count
 
 
-def _common_neighbours(edges: Ints32, chosen: Ints32, n_vertices: int) -> Ints:
-    """Return for each chosen edge the number of vertices that are connected with both its ends."""
+def _common_neighbours(edges: Ints32, selection: Ints32, n_vertices: int) -> Ints:
+    """Return for each selected edge the number of vertices that are connected with both its ends."""
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
     graph = coo_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(n_vertices, n_vertices)).tocsr()
-    shared = graph[chosen[:, 0]].multiply(graph[chosen[:, 1]]).sum(axis=1)
+    shared = graph[selection[:, 0]].multiply(graph[selection[:, 1]]).sum(axis=1)
     return np.asarray(shared, np.int64).ravel()
 
 
@@ -330,8 +330,8 @@ def _bend(vertices: Floats, faces: Ints32) -> Floats:
     for corner in range(3):
         np.add.at(total, faces[:, corner], normals)
         np.add.at(size, faces[:, corner], np.linalg.norm(normals, axis=1))
-    lost = 1 - np.divide(np.linalg.norm(total, axis=1), size, out=np.ones(len(size)), where=size > 0)
-    return np.asarray(np.round(lost, 6))  # so that rounding does not decide between equals
+    loss = 1 - np.divide(np.linalg.norm(total, axis=1), size, out=np.ones(len(size)), where=size > 0)
+    return np.asarray(np.round(loss, 6))  # so that rounding does not decide between equals
 
 
 def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
@@ -343,13 +343,13 @@ def _turns_a_face(vertices: Floats, faces: Ints32, edges: Ints32) -> Bools:
     within = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
     corner = corner_of[np.repeat(start[edges[:, 1]], count) + within]
     face = faces[corner // 3].copy()
-    gone = (face == edges[edge, :1]).any(axis=1)
+    is_removed = (face == edges[edge, :1]).any(axis=1)
     before = face_cross_products(vertices, face)
     face[np.arange(len(face)), corner % 3] = edges[edge, 0]
     after = face_cross_products(vertices, face)
     agreement = np.einsum("nj,nj->n", before, after)
     size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-    bad = ~gone & (agreement < _MIN_AGREEMENT * size)
+    bad = ~is_removed & (agreement < _MIN_AGREEMENT * size)
     return np.bincount(edge[bad], minlength=len(edges)) > 0
 
 
@@ -377,8 +377,8 @@ def _split_at_middles(vertices: Floats, faces: Ints32, middle: Ints32) -> Ints32
     one, two, three = (count == n for n in (1, 2, 3))
     shorter = np.linalg.norm(vertices[a] - vertices[bc], axis=1) < np.linalg.norm(vertices[ab] - vertices[c], axis=1)
 
-    def pieces(chosen: Bools, *corners: tuple[Ints32, Ints32, Ints32]) -> list[Ints32]:
-        return [np.stack([p[chosen], q[chosen], r[chosen]], axis=1) for p, q, r in corners]
+    def pieces(selection: Bools, *corners: tuple[Ints32, Ints32, Ints32]) -> list[Ints32]:
+        return [np.stack([p[selection], q[selection], r[selection]], axis=1) for p, q, r in corners]
 
     return np.concatenate(
         [

@@ -102,7 +102,7 @@ def nearest_triangle(
             extent[i] = size[0, 0] * np.sqrt(max(0.0, 1 - R[i, 2] * R[i, 2])) + abs(R[i, 2]) * size[0, 1]
     leaves = len(first) - 1
     waiting[0], lower_of[0], count, best = 1, 0.0, 1, reach
-    found = False
+    is_nearer = False
     while count:
         count -= 1
         node = waiting[count]
@@ -114,7 +114,7 @@ def nearest_triangle(
                     kind, size, R, p, int(np.int64(TRIANGLE)), triangles[t], best, int(np.int64(_FULL_STEPS)), s
                 )
                 if apart < best:
-                    best, found = apart, True
+                    best, is_nearer = apart, True
                     for i in range(3):
                         nearest[0, i], nearest[1, i] = s[POINT, i], s[POINT, i] - s[OFFSET, i]
                     if any_nearer or best <= 0.0:
@@ -132,7 +132,7 @@ def nearest_triangle(
         if lower_two < best:
             waiting[count], lower_of[count] = two, lower_two
             count += 1
-    if found:
+    if is_nearer:
         for k in range(2):
             for i in range(3):
                 points[k, i] = part_position[i]
@@ -173,7 +173,7 @@ def nearest_pair(
     leaves_one, leaves_two = len(first_one) - 1, len(first_two) - 1
     waiting, lower_of = np.empty((2 * _DEPTH, 2), dtype=np.int64), np.empty(2 * _DEPTH)
     waiting[0, 0], waiting[0, 1], lower_of[0], count, best = 1, 1, 0.0, 1, reach
-    s, nearest, found = np.zeros((WORK, 4)), np.zeros((2, 3)), False
+    s, nearest, is_nearer = np.zeros((WORK, 4)), np.zeros((2, 3)), False
     size, extent, middle, corners = np.zeros((1, 3)), np.zeros(3), np.zeros(3), np.zeros((3, 3))
     here, upright = np.zeros(3), np.eye(3)
     child, lower = np.zeros((2, 2), dtype=np.int64), np.zeros(2)
@@ -198,13 +198,13 @@ def nearest_pair(
                         best, int(np.int64(_FULL_STEPS)), s,
                     )  # fmt: skip
                     if apart < best:
-                        best, found = apart, True
+                        best, is_nearer = apart, True
                         for i in range(3):
                             nearest[1, i], nearest[0, i] = s[POINT, i], s[POINT, i] - s[OFFSET, i]
                         if any_nearer or best <= 0.0:
                             count = 0
                             break
-                if found and (any_nearer or best <= 0.0):
+                if is_nearer and (any_nearer or best <= 0.0):
                     break
             continue
         long_one, long_two = 0.0, 0.0
@@ -233,7 +233,7 @@ def nearest_pair(
             if lower[k] < best:
                 waiting[count, 0], waiting[count, 1], lower_of[count] = child[k, 0], child[k, 1], lower[k]
                 count += 1
-    if found:
+    if is_nearer:
         for k in range(2):
             for i in range(3):
                 points[k, i] = one[0][i]
@@ -314,14 +314,14 @@ def distance(
             s[n, i], s[_A + n, i] = s[_W, i], s[_W, i] + s[_OF_B, i]
         n += 1
         inside = _nearest(n, s)
-        kept = 0
+        n_corners = 0
         for k in range(n):  # the simplex keeps the corners that span v
             if s[_WEIGHT, k] > 0.0:
                 for i in range(3):
-                    s[kept, i], s[_A + kept, i] = s[k, i], s[_A + k, i]
-                s[_WEIGHT, kept] = s[_WEIGHT, k]
-                kept += 1
-        n = kept
+                    s[n_corners, i], s[_A + n_corners, i] = s[k, i], s[_A + k, i]
+                s[_WEIGHT, n_corners] = s[_WEIGHT, k]
+                n_corners += 1
+        n = n_corners
         for i in range(3):
             s[_V, i] = s[_P, i] = 0.0
             for k in range(n):
@@ -581,10 +581,10 @@ class TriangleTree:
             The distance [m]: `reach` if it is larger, 0 in contact, the negative distance from the surface for a body
             inside a closed mesh.
         """
-        found = np.zeros((2, 3)) if points is None else points
+        nearest = np.zeros((2, 3)) if points is None else points
         measured = nearest_triangle(
             kind, size.reshape(-1, 3), (position, rotation), (part_position, part_rotation), self._tree, reach,
-            any_nearer, found, scratch(),
+            any_nearer, nearest, scratch(),
         )  # fmt: skip
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured
@@ -623,14 +623,14 @@ class TriangleTree:
         Returns:
             The distance [m]: `reach` if it is larger, 0 in contact, negative for a mesh inside the other, closed one.
         """
-        found = np.zeros((2, 3)) if points is None else points
-        measured = nearest_pair(frames[0], self._tree, frames[1], other._tree, reach, any_nearer, found)
+        nearest = np.zeros((2, 3)) if points is None else points
+        measured = nearest_pair(frames[0], self._tree, frames[1], other._tree, reach, any_nearer, nearest)
         if measured > 0:
             (here, R), (there, of_other) = frames
             turn = R.reshape(3, 3).T @ of_other.reshape(3, 3)
             shift = R.reshape(3, 3).T @ (there - here)
-            held = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
-            if held or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
+            is_inside = self.closed and self._inside(turn @ other._tree[0][0, 0] + shift)
+            if is_inside or (other.closed and other._inside(turn.T @ (self._tree[0][0, 0] - shift))):
                 return -measured
         return float(measured)
 

@@ -139,8 +139,8 @@ def cut_at_plane(mesh: TriangleMesh, axis: int, at: float) -> tuple[TriangleMesh
     pieces = [np.stack(each, axis=1) for each in ((a, ab, ac), (ab, b, c), (ab, c, ac))]
     parent = np.concatenate([uncut, parents, parents, parents])
     every = np.concatenate([mesh.faces[uncut].astype(np.int64), *pieces])
-    kept = (every != np.roll(every, 1, axis=1)).all(axis=1)  # where b or c lies on the plane, a piece has no area
-    every, parent = every[kept], parent[kept]
+    has_area = (every != np.roll(every, 1, axis=1)).all(axis=1)  # where b or c lies on the plane, a piece has no area
+    every, parent = every[has_area], parent[has_area]
     region = None if mesh.region is None else mesh.region[parent]
     return replace(mesh, vertices=vertices, faces=every.astype(np.int32), region=region), parent
 

@@ -154,7 +154,7 @@ def _adjusted(fit: Fit, chain: Chain, q: Floats) -> Fit:
     """
     from scipy.optimize import least_squares  # slow to import
 
-    wanted = chain.forward(q[:_FITTED_POSES])
+    targets = chain.forward(q[:_FITTED_POSES])
     names = [field.name for field in fields(fit.form.lengths)]
 
     def moved(x: Floats) -> Fit:
@@ -175,7 +175,7 @@ def _adjusted(fit: Fit, chain: Chain, q: Floats) -> Fit:
 
     # Some changes of lengths and transforms cancel each other: a small penalty on their size makes them unique.
     def residuals(x: Floats) -> Floats:
-        return np.append(pose_error(moved(x).forward(q[:_FITTED_POSES]), wanted), _REGULARISATION * x)
+        return np.append(pose_error(moved(x).forward(q[:_FITTED_POSES]), targets), _REGULARISATION * x)
 
     best = least_squares(residuals, start, method="lm")
     adjusted = _with_residual(moved(best.x), chain, q)

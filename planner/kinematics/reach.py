@@ -120,16 +120,16 @@ def solve_reach(
     for chunk, poses in _flange_poses(viewpoints.T_object_scanner, T_base_object, T_flange_scanner):
         alive, q, owner = chunk, np.empty((0, axes)), np.empty(0, dtype=np.int64)
         for k, T_base_flange in enumerate(poses):
-            found, solved, free = _solve_poses(T_base_flange[alive - chunk[0]], kinematics, checker)
-            verdict[alive] = found
-            for row in np.flatnonzero(found == Verdict.COLLISION):
+            verdicts, solved, free = _solve_poses(T_base_flange[alive - chunk[0]], kinematics, checker)
+            verdict[alive] = verdicts
+            for row in np.flatnonzero(verdicts == Verdict.COLLISION):
                 blocker[alive[row]] = _blocker(solved.q[solved.first[solved.pose[solved.first] == row]], checker)
             if k == 0:
                 q, owner = solved.q[free], alive[solved.pose[free]]
-            alive = alive[found == Verdict.REACHABLE]
-        kept = verdict[owner] == Verdict.REACHABLE
-        free_q.append(q[kept])
-        free_count[chunk] = np.bincount(owner[kept] - chunk[0], minlength=len(chunk))
+            alive = alive[verdicts == Verdict.REACHABLE]
+        is_reachable = verdict[owner] == Verdict.REACHABLE
+        free_q.append(q[is_reachable])
+        free_count[chunk] = np.bincount(owner[is_reachable] - chunk[0], minlength=len(chunk))
         if progress is not None:
             progress(int(chunk[-1]) + 1, total)
     offsets = np.concatenate(([0], np.cumsum(free_count)))
@@ -173,12 +173,12 @@ def _any_free(T_base_flange: Floats, kinematics: Kinematics, checker: CollisionC
     """Return (N,) whether a configuration of each pose is within the limits and free."""
     solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
     q, pose = solved.q[solved.first], solved.pose[solved.first]
-    found = np.zeros(len(T_base_flange), dtype=np.bool_)
+    is_free = np.zeros(len(T_base_flange), dtype=np.bool_)
     number = np.arange(len(pose)) - np.searchsorted(pose, pose)  # among the branches of the pose within the limits
     for branch in range(int(number.max(initial=-1)) + 1):
-        rows = np.flatnonzero((number == branch) & ~found[pose])
-        found[pose[rows[checker.free(q[rows])]]] = True
-    return found
+        rows = np.flatnonzero((number == branch) & ~is_free[pose])
+        is_free[pose[rows[checker.free(q[rows])]]] = True
+    return is_free
 
 
 def _solve_poses(
@@ -187,10 +187,10 @@ def _solve_poses(
     """Return the verdict of each pose, its set-points within the limits, and whether each of these is free."""
     solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
     free = _free_geometries(solved, checker)[solved.geometry]
-    found = np.where(solved.real, Verdict.JOINT_LIMIT, Verdict.OUT_OF_REACH).astype(np.uint8)
-    found[solved.pose] = Verdict.COLLISION
-    found[solved.pose[free]] = Verdict.REACHABLE
-    return found, solved, free
+    verdicts = np.where(solved.real, Verdict.JOINT_LIMIT, Verdict.OUT_OF_REACH).astype(np.uint8)
+    verdicts[solved.pose] = Verdict.COLLISION
+    verdicts[solved.pose[free]] = Verdict.REACHABLE
+    return verdicts, solved, free
 
 
 def _free_geometries(solved: Setpoints, checker: CollisionChecker) -> Bools:
@@ -198,12 +198,12 @@ def _free_geometries(solved: Setpoints, checker: CollisionChecker) -> Bools:
     q, pose = solved.q[solved.first], solved.pose[solved.first]
     free = np.zeros(len(q), dtype=np.bool_)
     number = np.arange(len(pose)) - np.searchsorted(pose, pose)
-    found = np.zeros(len(solved.real), dtype=np.int64)
+    n_free = np.zeros(len(solved.real), dtype=np.int64)
     batch = MAX_FREE_CONFIGURATIONS
     for start in range(0, int(number.max(initial=-1)) + 1, batch):
-        rows = np.flatnonzero((number >= start) & (number < start + batch) & (found[pose] < batch))
+        rows = np.flatnonzero((number >= start) & (number < start + batch) & (n_free[pose] < batch))
         free[rows] = checker.free(q[rows])
-        found += np.bincount(pose[rows[free[rows]]], minlength=len(found))
+        n_free += np.bincount(pose[rows[free[rows]]], minlength=len(n_free))
     return free
 
 

@@ -71,8 +71,11 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     choices = _turns(lower, upper)
     # Test each turn of each axis once; a combination of turns fits if all its axes do.
     axis_fits = [
-        {k: (steps[..., axis] >= lower[axis] - k * _TURN) & (steps[..., axis] <= upper[axis] - k * _TURN) for k in some}
-        for axis, some in enumerate(choices)
+        {
+            k: (steps[..., axis] >= lower[axis] - k * _TURN) & (steps[..., axis] <= upper[axis] - k * _TURN)
+            for k in turns
+        }
+        for axis, turns in enumerate(choices)
     ]
     turns = np.array(list(itertools.product(*choices)), dtype=np.int64).reshape(-1, len(choices))
     fits = np.empty((*exists.shape, len(turns)), dtype=np.bool_)

@@ -104,12 +104,12 @@ class DirectionTable(Value):
         nodes = _pack(_cast(lifted, frames, (part,), far)[:, None])[:, 0]
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
         free = _cast(lifted, frames, occluders, float(lengths[-1]))
-        some = np.flatnonzero((free == 0).any(axis=(1, 2)))
-        by_range = [free[some]]
+        partly_free = np.flatnonzero((free == 0).any(axis=(1, 2)))
+        by_range = [free[partly_free]]
         for length in reversed(lengths[:-1]):  # a direction that is free at one length is free at shorter ones
-            by_range.append(_cast(lifted[some], frames[some], occluders, float(length), by_range[-1]))
+            by_range.append(_cast(lifted[partly_free], frames[partly_free], occluders, float(length), by_range[-1]))
         row_of = np.full(len(targets), -1)
-        row_of[some] = np.arange(len(some))
+        row_of[partly_free] = np.arange(len(partly_free))
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
@@ -125,8 +125,10 @@ class DirectionTable(Value):
         """Return the table of some of the samples."""
         targets = self.targets
         region = None if targets.region is None else targets.region[rows]
-        some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
-        return replace(self, targets=some, frames=self.frames[rows], nodes=self.nodes[rows], near=self.near[rows])
+        ray_targets = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
+        return replace(
+            self, targets=ray_targets, frames=self.frames[rows], nodes=self.nodes[rows], near=self.near[rows]
+        )
 
     def without(self, rows: Bools) -> "DirectionTable":
         """Return the table with (S,) selected samples occluded in all directions."""
@@ -148,8 +150,8 @@ class DirectionTable(Value):
         sums = np.empty((n, P))
         if self.limits is None:
             for k, T in enumerate(T_object_scanner):
-                own = rows[starts[k] : starts[k + 1]]
-                sums[k] = self.measured(T, own) @ weights[own]
+                row_block = rows[starts[k] : starts[k + 1]]
+                sums[k] = self.measured(T, row_block) @ weights[row_block]
             return sums
         poses = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1)
         sum_weights(
@@ -164,39 +166,39 @@ class DirectionTable(Value):
         Exact rays decide where a node has a neighbour that differs from it.
         """
         rows = np.arange(len(self)) if rows is None else rows
-        poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
+        poses, result = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
             mark_rows(
-                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses, self.limits, found
+                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses, self.limits, result
             )  # fmt: skip
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
             for first in range(0, len(poses), together):
-                some = slice(first, first + together)
-                found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
-            found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
-            found[:, ~self.nodes[rows].any(axis=1)] = 0
-        self._decide_edges(T_object_scanner, rows, found)
-        return np.asarray(found > 0)
+                block = slice(first, first + together)
+                result[block] = in_view_matrix(self.targets, T_object_scanner[block], self.scanner, rows)
+            result *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
+            result[:, ~self.nodes[rows].any(axis=1)] = 0
+        self._decide_edges(T_object_scanner, rows, result)
+        return np.asarray(result > 0)
 
-    def _decide_edges(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
-        """Decide `found` (n, m) by exact rays where a line of sight is near an edge."""
+    def _decide_edges(self, T_object_scanner: Floats, rows: Ints, result: Bytes) -> None:
+        """Decide `result` (n, m) by exact rays where a line of sight is near an edge."""
         source, sensor = (
             T_object_scanner[:, :3, :3] @ end + T_object_scanner[:, :3, 3]
             for end in (self.scanner.source, self.scanner.sensor)
         )
         part, *others = self.casters
-        pose, column = np.nonzero(found > 1)
-        mark = found[pose, column]
+        pose, column = np.nonzero(result > 1)
+        mark = result[pose, column]
         for bit, ends, casters in (
             (_SOURCE_PART, source, (part,)), (_SENSOR_PART, sensor, (part,)),
             (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
         ):  # fmt: skip
             for caster in casters:
-                some = np.flatnonzero(mark & bit)
-                is_blocked = caster.blocked(self.targets.lifted[rows[column[some]]], ends[pose[some]])
-                mark[some[is_blocked]] = 0
-        found[pose, column] = mark
+                rays = np.flatnonzero(mark & bit)
+                is_blocked = caster.blocked(self.targets.lifted[rows[column[rays]]], ends[pose[rays]])
+                mark[rays[is_blocked]] = 0
+        result[pose, column] = mark
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
         """Return (n, 18): rotation by columns, position, source and sensor of each pose."""
@@ -235,9 +237,9 @@ def _pack(free: Bytes) -> Bytes:
     packed = np.empty((M, R, (N_NODES * N_NODES + 3) // 4), dtype=np.uint8)
     states = np.zeros((_PACKED, R, 4 * packed.shape[2]), dtype=np.uint8)
     for first in range(0, M, _PACKED):
-        some = free[first : first + _PACKED]
-        n = len(some)
-        states[:n, :, : N_NODES * N_NODES] = (_FREE * some + _EDGE * _edges(some)).reshape(n, R, N_NODES * N_NODES)
+        block = free[first : first + _PACKED]
+        n = len(block)
+        states[:n, :, : N_NODES * N_NODES] = (_FREE * block + _EDGE * _edges(block)).reshape(n, R, N_NODES * N_NODES)
         quarters = [states[:n, :, k::4] << 2 * k for k in range(4)]
         packed[first : first + n] = quarters[0] | quarters[1] | quarters[2] | quarters[3]
     return packed
@@ -245,7 +247,7 @@ def _pack(free: Bytes) -> Bytes:
 
 def _edges(free: Bytes) -> Bools:
     """Return which nodes of (M, R, N, N) have a neighbour, in direction or range, that differs from them."""
-    found = np.zeros(free.shape, dtype=np.bool_)
+    is_edge = np.zeros(free.shape, dtype=np.bool_)
     every, ahead, behind = slice(None), slice(1, None), slice(None, -1)
     for one, two in (
         ((every, ahead, every, every), (every, behind, every, every)),
@@ -255,9 +257,9 @@ def _edges(free: Bytes) -> Bools:
         ((every, every, ahead, behind), (every, every, behind, ahead)),
     ):
         differs = free[one] != free[two]
-        found[one] |= differs
-        found[two] |= differs
-    return found
+        is_edge[one] |= differs
+        is_edge[two] |= differs
+    return is_edge
 
 
 def _cast(
@@ -277,12 +279,12 @@ def _cast(
     free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
     for first in range(0, len(lifted), _TOGETHER):
         raise_interrupt()
-        some = slice(first, first + _TOGETHER)
-        origins, local, part = lifted[some], frames[some], free[some]
+        block = slice(first, first + _TOGETHER)
+        origins, local, part = lifted[block], frames[block], free[block]
         step = _COARSEST
         while True:
             if known is not None:
-                part[(part == _TO_CAST) & (known[some] == 1)] = 1
+                part[(part == _TO_CAST) & (known[block] == 1)] = 1
             is_cast = part[:, ::step, ::step] == _TO_CAST
             sample, i, j = np.unravel_index(np.flatnonzero(is_cast), is_cast.shape)
             node = step * (i * N_NODES + j)
@@ -318,23 +320,23 @@ def _subdivide(free: Bytes, step: int) -> None:
 @compiled
 def turn_nodes(nodes: Floats32, frames: Floats32, sample: Ints, node: Ints) -> Floats32:
     """Return the (n, 3) directions of nodes of samples in the object frame."""
-    found = np.empty((len(sample), 3), dtype=np.float32)
+    directions = np.empty((len(sample), 3), dtype=np.float32)
     for k in range(len(sample)):
         a, b, c = nodes[node[k], 0], nodes[node[k], 1], nodes[node[k], 2]
         frame = frames[sample[k]]
         for axis in range(3):
-            found[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
-    return found
+            directions[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
+    return directions
 
 
 @compiled
 def gather_blocks(frames: Floats32, rows: Ints) -> Floats32:
     """Return the frames of rows in blocks (B, 12, `_BLOCK`), filled up with zeros, which no pose measures."""
-    found = np.zeros(((len(rows) + _BLOCK - 1) // _BLOCK, 12, _BLOCK), dtype=np.float32)
+    blocks = np.zeros(((len(rows) + _BLOCK - 1) // _BLOCK, 12, _BLOCK), dtype=np.float32)
     for m in range(len(rows)):
         for k in range(12):
-            found[m // _BLOCK, k, m % _BLOCK] = frames[rows[m], k]
-    return found
+            blocks[m // _BLOCK, k, m % _BLOCK] = frames[rows[m], k]
+    return blocks
 
 
 @compiled
@@ -452,7 +454,7 @@ def sum_weights(
 @compiled
 def mark_rows(
     frames: Floats32, table: Bytes, near: Ints, near_table: Bytes, ranges: Floats32, rows: Ints, poses: Floats32,
-    limits: Floats32, found: Bytes,
+    limits: Floats32, result: Bytes,
 ) -> None:  # fmt: skip
     """Mark the rows that poses measure, with further marks where that is uncertain.
 
@@ -465,7 +467,7 @@ def mark_rows(
         rows: (m,) samples.
         poses: (n, 18) from `_packed`.
         limits: (13,) of the scanner.
-        found: (n, m), zeros, set to a mark where a pose measures a row.
+        result: (n, m), zeros, set to a mark where a pose measures a row.
     """
     nodes, squared = np.empty((2, _BLOCK), dtype=np.int32), np.empty((2, _BLOCK), dtype=np.float32)
     blocks = gather_blocks(frames, rows)
@@ -492,4 +494,4 @@ def mark_rows(
                         elif not state:
                             mark = 0
                             break
-                found[k, first + m] = mark
+                result[k, first + m] = mark

@@ -124,8 +124,8 @@ def append_rows(measurability: Measurability, more: Measurability, spread: Surfa
         )
     if (measurability.sigma is None) != (more.sigma is None):
         raise PlannerError("only one of the matrices has a layer of sigma; calculate it for both")
-    own, new = measurability.samples, more.samples
-    samples = join_samples([own, new])
+    samples_before, new = measurability.samples, more.samples
+    samples = join_samples([samples_before, new])
     piece, piece_of_spread = _piece_numbers(samples, spread)
     count = np.bincount(piece)
     area = np.bincount(piece_of_spread, weights=spread.areas, minlength=len(count))[: len(count)]
@@ -136,7 +136,7 @@ def append_rows(measurability: Measurability, more: Measurability, spread: Surfa
     return Measurability(
         np.concatenate([measurability.indptr, measurability.indptr[-1] + more.indptr[1:]]),
         np.concatenate([measurability.indices, more.indices]),
-        replace(samples, areas=areas * (own.areas.sum() / areas.sum())),
+        replace(samples, areas=areas * (samples_before.areas.sum() / areas.sum())),
         measurability.n_viewpoints,
         sigma,
     )

@@ -59,10 +59,10 @@ class PoseError:
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Draw (count, 4, 4) errors: the actual pose of the scanner in the frame of the planned one [m]."""
-        drawn = rng.standard_normal((count, 6))
+        samples = rng.standard_normal((count, 6))
         T = np.zeros((count, 4, 4))
-        T[:, :3, :3] = rotation_matrices(self.orientation * drawn[:, 3:])
-        T[:, :3, 3] = self.position * drawn[:, :3]
+        T[:, :3, :3] = rotation_matrices(self.orientation * samples[:, 3:])
+        T[:, :3, 3] = self.position * samples[:, :3]
         T[:, 3, 3] = 1.0
         return T
 
@@ -96,12 +96,14 @@ class ProbabilityLayer(Value):
     def restricted_to(self, M: Measurability) -> "ProbabilityLayer":
         """Return the layer on the entries of a matrix that contains a part of this layer's entries."""
         width = M.n_viewpoints
-        mine, wanted = (
+        entries, requested_entries = (
             np.repeat(np.arange(len(start) - 1), np.diff(start)) * width + columns
             for start, columns in ((self.indptr, self.indices), (M.indptr, M.indices))
         )
-        at = np.searchsorted(mine, wanted)
-        if len(wanted) and (not len(mine) or (mine[np.minimum(at, len(mine) - 1)] != wanted).any()):
+        at = np.searchsorted(entries, requested_entries)
+        if len(requested_entries) and (
+            not len(entries) or (entries[np.minimum(at, len(entries) - 1)] != requested_entries).any()
+        ):
             raise PlannerError("the matrix has entries that the layer lacks; make the layer anew")
         return ProbabilityLayer(M.indptr, M.indices, self.hits[at], self.members)
 
@@ -152,9 +154,9 @@ def probability_layer(
     K = viewpoints.T_object_scanner.shape[1]
 
     def rows_of(pose: int) -> Ints:
-        own = rows[start[pose // K] : start[pose // K + 1]]
-        is_evaluated = len(own) and (columns is None or columns[pose // K])
-        return in_view(targets, poses[pose], scanner, own) if is_evaluated else own[:0]
+        view_rows = rows[start[pose // K] : start[pose // K + 1]]
+        is_evaluated = len(view_rows) and (columns is None or columns[pose // K])
+        return in_view(targets, poses[pose], scanner, view_rows) if is_evaluated else view_rows[:0]
 
     for member, error in enumerate(errors, start=1):
         poses = flatten_poses(viewpoints.T_object_scanner @ error)
@@ -192,9 +194,9 @@ def simulate_executions(
     times = np.zeros(len(samples), dtype=np.int32)
     share = np.zeros(len(errors))
     for number, error in enumerate(errors):
-        found = find_measured(T_object_scanner @ error[:, None], samples, scanner, casters)
-        times += found
-        share[number] = samples.areas[found].sum() / samples.areas.sum()
+        is_measured = find_measured(T_object_scanner @ error[:, None], samples, scanner, casters)
+        times += is_measured
+        share[number] = samples.areas[is_measured].sum() / samples.areas.sum()
         if progress:
             progress(number + 1, len(errors))
     return times, share

@@ -188,13 +188,13 @@ def within_sigma(measurability: Measurability, max_sigma: float) -> Measurabilit
     sigma = _sigma_of(measurability)
     if not max_sigma > 0:
         raise PlannerError(f"the limit on sigma is {max_sigma} m; it must be above 0")
-    kept = sigma <= np.float32(max_sigma)
-    before = np.concatenate([[0], np.cumsum(kept)])
+    is_precise = sigma <= np.float32(max_sigma)
+    before = np.concatenate([[0], np.cumsum(is_precise)])
     return replace(
         measurability,
         indptr=before[measurability.indptr],
-        indices=measurability.indices[kept],
-        sigma=sigma[kept],
+        indices=measurability.indices[is_precise],
+        sigma=sigma[is_precise],
     )
 
 
@@ -241,10 +241,10 @@ def best_spacing(T_object_scanner: Floats, samples: SurfaceSamples, seen: Bools,
 def best_sigma(measurability: Measurability, views: NDArray[np.integer]) -> Floats:
     """Return (S,) the smallest sigma [m] over the views (n,) that measure each sample; NaN if none does."""
     sigma = _sigma_of(measurability)
-    chosen = np.isin(measurability.indices, views)
-    row = np.repeat(np.arange(measurability.shape[0]), np.diff(measurability.indptr))[chosen]
+    is_selected = np.isin(measurability.indices, views)
+    row = np.repeat(np.arange(measurability.shape[0]), np.diff(measurability.indptr))[is_selected]
     best = np.full(measurability.shape[0], np.inf)
-    np.minimum.at(best, row, sigma[chosen].astype(np.float64))
+    np.minimum.at(best, row, sigma[is_selected].astype(np.float64))
     seen = np.zeros(measurability.shape[0], dtype=np.bool_)
     seen[row] = True
     return np.where(seen, best, np.nan)

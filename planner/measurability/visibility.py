@@ -129,7 +129,7 @@ def find_measured(
     casters: Sequence[RayCaster],
     *,
     each: bool = False,
-    own: Sequence[RayCaster | None] | None = None,
+    own_occluders: Sequence[RayCaster | None] | None = None,
     among: Bools | None = None,
     progress: Progress | None = None,
 ) -> Bools:
@@ -141,7 +141,8 @@ def find_measured(
         scanner: sensor model.
         casters: of the part and of occluders.
         each: evaluate each view; otherwise all views together, and a sample only until a view measures it.
-        own: for each view the caster of an occluder of this view alone (the arm in its configuration), or None.
+        own_occluders: for each view the caster of an occluder of this view alone (the arm in its configuration); or
+            None.
         among: (S,) without `each`: samples to test; the others count as not measured. None: all.
         progress: called with (poses done, poses in all) after each bundle.
 
@@ -157,17 +158,17 @@ def find_measured(
     def rows_of(pose: int) -> Ints:
         return in_view(targets, poses[pose], scanner, None if each else still_open)
 
-    for done, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
+    for n_done, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
         free = np.ones(len(row), dtype=np.bool_)
-        for view in np.unique(pose // K) if own is not None else ():
-            if own is not None and (caster := own[view]) is not None:
+        for view in np.unique(pose // K) if own_occluders is not None else ():
+            if own_occluders is not None and (caster := own_occluders[view]) is not None:
                 here = np.flatnonzero(pose // K == view)
                 free[here] = lines_of_sight_free(targets, poses, pose[here], row[here], scanner, (caster,))
         result[row[free], pose[free] // K if each else 0] = True
         if not each:
             still_open = still_open[~result[still_open, 0]]
         if progress:
-            progress(done, len(poses))
+            progress(n_done, len(poses))
     return result if each else result[:, 0]
 
 
@@ -192,23 +193,23 @@ class VisibilityMemo:
         """Return (S,) the samples that any of the views (n, K, 4, 4) [m] measures."""
         poses, K = flatten_poses(T_object_scanner), np.shape(T_object_scanner)[1]
         known = [self._results_of(view) for view in poses.reshape(-1, K, 4, 4)]
-        found = np.zeros(len(self._targets), dtype=np.bool_)
+        is_measured = np.zeros(len(self._targets), dtype=np.bool_)
         for results in known:
-            found |= results == _SEEN
+            is_measured |= results == _SEEN
 
         def rows_of(pose: int) -> Ints:
             results = known[pose // K]
             if pose % K == 0:
-                tested[:] = ~found & (results == _UNKNOWN)
+                tested[:] = ~is_measured & (results == _UNKNOWN)
                 results[tested] = _MISSED
             return in_view(self._targets, poses[pose], self._scanner, np.flatnonzero(tested & (results == _MISSED)))
 
-        tested = np.zeros_like(found)
+        tested = np.zeros_like(is_measured)
         for _, pose, row in visible_pairs(poses, self._targets, self._scanner, self._casters, rows_of, _OPEN_BUNDLE):
-            found[row] = True
+            is_measured[row] = True
             for number in np.unique(pose // K):
                 known[number][row[pose // K == number]] = _SEEN
-        return found
+        return is_measured
 
     def _results_of(self, view: Floats) -> NDArray[np.uint8]:
         """Return (S,) the known results of a view (K, 4, 4), moved to the end of the memory."""
@@ -229,11 +230,11 @@ def _compress(
     V, K = viewpoints.T_object_scanner.shape[:2]
     counts = np.zeros(V, dtype=np.int64)
     rows: list[Ints32] = []
-    for done, pose, row in pairs:
+    for n_done, pose, row in pairs:
         counts += np.bincount(pose // K, minlength=V)
         rows.append(row.astype(np.int32))
         if progress:
-            progress(done, V * K)
+            progress(n_done, V * K)
     indices = np.concatenate(rows) if rows else np.empty(0, dtype=np.int32)
     indptr = np.concatenate([[0], np.cumsum(counts)])
     matrix = csc_array((np.ones(len(indices), np.bool_), indices, indptr), shape=(len(samples), V)).tocsr()
@@ -280,11 +281,11 @@ def scanned_rows(
         return _rays_to_sphere(grid, T[:3, :3].T @ (middle - T[:3, 3]), scanner.source, radius)
 
     for first, rays in bundle_items(len(poses), rays_of, BUNDLE):
-        done = first + len(rays)
-        which, face = _scan(poses[first:done], rays, grid, normals, diagonal, scanner, ray_caster)
+        n_done = first + len(rays)
+        which, face = _scan(poses[first:n_done], rays, grid, normals, diagonal, scanner, ray_caster)
         row = row_of_face[face].astype(np.int64)
         keys = np.unique(((which + first) * n_rows + row)[row >= 0])
-        yield done, keys // n_rows, keys % n_rows
+        yield n_done, keys // n_rows, keys % n_rows
 
 
 def _rays_to_sphere(grid: Floats, middle: Floats, source: Floats, radius: float) -> Ints:
@@ -306,7 +307,7 @@ def _scan(
     ray_caster: RayCaster,
 ) -> tuple[Ints, Ints32]:
     """Return (pose, face) of every ray that is measured; pose i casts the rays `rays[i]` of the grid."""
-    ends = np.concatenate([[0], np.cumsum([len(chosen) for chosen in rays])])
+    ends = np.concatenate([[0], np.cumsum([len(indices) for indices in rays])])
     pose = np.repeat(np.arange(len(poses)), np.diff(ends))
     local = grid[np.concatenate(rays)]
     directions = np.empty_like(local)

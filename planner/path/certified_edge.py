@@ -92,12 +92,12 @@ def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> 
     if not allowed > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     counts = np.maximum(1, np.ceil(checker.travel(q_from, q_to) / (2.0 * allowed))).astype(int)
-    found = []
+    pieces = []
     for start, stop, count in zip(q_from, q_to, counts, strict=True):
         configurations = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (stop - start)
         configurations[-1] = stop
-        found.append(start[None] if np.array_equal(start, stop) else configurations)
-    return found
+        pieces.append(start[None] if np.array_equal(start, stop) else configurations)
+    return pieces
 
 
 def _bisection_batches(count: int) -> Iterator[Ints]:

@@ -92,11 +92,11 @@ def _connect_free(
     checks += 2
     via, status = ends, PathStatus.STRAIGHT
     if not straight:
-        found, used = rrt_connect(ends[0], ends[1], checker, limits, rng, budget - checks)
+        via_points, used = rrt_connect(ends[0], ends[1], checker, limits, rng, budget - checks)
         checks += used
-        if found is None:
+        if via_points is None:
             return PathResult(None, PathStatus.NO_PATH_FOUND, checks, float("inf"))
-        via, used = shorten(found, checker, limits, rng, budget // 2)
+        via, used = shorten(via_points, checker, limits, rng, budget // 2)
         checks += used
         status = PathStatus.DETOUR
     return PathResult(via, status, checks, path_time(via, limits))
@@ -109,9 +109,9 @@ def _connect_indexed(
     if np.array_equal(ends[0, ARM_AXES:], ends[1, ARM_AXES:]):
         return _connect_free(ends, checker, indexed.fix_table(limits, ends[0]), rng, budget)
     assert limits.table_turn_q is not None, "the table is indexed"
-    checks, found = 0, PathResult(None, PathStatus.NO_PATH_FOUND, 0, float("inf"))
+    checks, best = 0, PathResult(None, PathStatus.NO_PATH_FOUND, 0, float("inf"))
     for place, posture in enumerate((*ends, quantise_inside(limits.table_turn_q, limits))):
-        if place == len(ends) and found.via is not None:
+        if place == len(ends) and best.via is not None:
             break
         turns, used = indexed.may_turn(posture, checker, limits)
         checks += used
@@ -136,8 +136,8 @@ def _connect_indexed(
         if all(piece.via is not None for piece in pieces):
             via = np.concatenate([piece.via for piece in pieces if piece.via is not None])
             status = PathStatus.STRAIGHT if len(via) <= 3 else PathStatus.DETOUR
-            found = min(found, PathResult(via, status, 0, path_time(via, limits)), key=lambda each: each.duration)
-    return replace(found, checks=checks)
+            best = min(best, PathResult(via, status, 0, path_time(via, limits)), key=lambda each: each.duration)
+    return replace(best, checks=checks)
 
 
 def is_detour(via: Floats) -> bool:
@@ -151,7 +151,7 @@ def path_time(via: Floats, limits: JointLimits) -> float:
 
 
 _MAX_FAILURES = 40  # failed replacements in a row after which a path counts as short
-_CANDIDATES, _TRIED = 96, 3  # via points drawn per replacement, and certified at most (fastest first)
+_CANDIDATES, _CERTIFICATIONS = 96, 3  # via points drawn per replacement, and certified at most (fastest first)
 
 
 def shorten(
@@ -193,7 +193,7 @@ def shorten(
         free = checker.free(candidates[fastest]) if len(fastest) else np.zeros(0, dtype=bool)
         checks += len(fastest)
         failures += 1
-        for k in fastest[free][:_TRIED]:
+        for k in fastest[free][:_CERTIFICATIONS]:
             certified, used = certify(via[i], candidates[k], checker)
             checks += used
             if certified:
@@ -211,7 +211,7 @@ def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, 
 
     Fewer stops are never slower: the time of a straight move is subadditive.
     """
-    kept, i, checks = [via[0]], 0, 0
+    remaining, i, checks = [via[0]], 0, 0
     while i < len(via) - 1:
         j = len(via) - 1
         while j > i + 1:
@@ -221,6 +221,6 @@ def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, 
                 if certified:
                     break
             j -= 1
-        kept.append(via[j])
+        remaining.append(via[j])
         i = j
-    return np.array(kept), checks
+    return np.array(remaining), checks

@@ -49,11 +49,11 @@ class _Tree:
 
     def branch(self, node: int) -> list[Floats]:
         """Return the configurations from the root to the node."""
-        found = []
+        configurations = []
         while node >= 0:
-            found.append(self.q[node])
+            configurations.append(self.q[node])
             node = int(self.parent[node])
-        return found[::-1]
+        return configurations[::-1]
 
 
 def rrt_connect(
@@ -147,8 +147,8 @@ class _Search:
         rng, limits = self.rng, self.limits
         low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
         hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
-        drawn = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, len(low)))
-        ends = drawn[~self.free(drawn)]
+        samples = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, len(low)))
+        ends = samples[~self.free(samples)]
         if hit:
             ends = np.concatenate((ends, np.array(hit)[rng.integers(0, len(hit), _BRIDGES)]))
         lengths = 10.0 ** rng.uniform(*_BRIDGE_LENGTH, (len(ends), 1))
@@ -203,16 +203,16 @@ class _Search:
         travel = float(self.checker.travel(q[None], target[None])[0])
         steps = max(1, int(np.ceil(travel / (_STEP_CHECKS * self.spacing))))
         stops = self.stops(q, target, steps)
-        tip, done, size = near, 0, 1
-        while done < len(stops) - 1:
-            batch = stops[done : done + size + 1]
+        tip, n_done, size = near, 0, 1
+        while n_done < len(stops) - 1:
+            batch = stops[n_done : n_done + size + 1]
             count = self.free_prefix(batch)
             for stop in batch[1 : count + 1]:
                 tip = tree.add(stop, tip)
             if count < len(batch) - 1:
                 self.remember_blocked(tree, batch[count + 1])
                 break
-            done, size = done + size, size * 2
+            n_done, size = n_done + size, size * 2
         if tip == near:
             short = self.stops(q, target, max(steps, int(np.ceil(travel / (_FEWEST_CHECKS * self.spacing)))))[:2]
             if len(short) == 2 and not np.array_equal(short[1], stops[1]):

@@ -121,14 +121,14 @@ def find_sweeps(
     refused: list[RefusedSweep] = []
     branches = kinematics.inverse(arm.flange(line.at(np.array([0.0, 0.5, 1.0]))))
     for branch in np.flatnonzero(~np.isnan(branches).any(axis=2).all(axis=0)).tolist():
-        found = _on_branch(line, branch, arm, limits, speed)
-        if isinstance(found, RefusedSweep):
-            refused.append(found)
+        outcome = _on_branch(line, branch, arm, limits, speed)
+        if isinstance(outcome, RefusedSweep):
+            refused.append(outcome)
             continue
-        if checker is not None and (blocker := _find_blocker(found[0].q, checker)) is not None:
+        if checker is not None and (blocker := _find_blocker(outcome[0].q, checker)) is not None:
             refused.append(RefusedSweep(branch, SweepRefusal.COLLISION, blocker))
             continue
-        for path in found:
+        for path in outcome:
             paths += [path] if line.is_stationary else [path, path.reversed()]
     if not paths and not refused:
         refused.append(RefusedSweep(-1, SweepRefusal.OUT_OF_REACH, ""))

@@ -108,13 +108,13 @@ def point_spacing(points: Floats, scan: NDArray[np.integer] | None = None) -> fl
         scan: (N,) index of each point's scan; None takes all as one scan.
     """
     groups = [points] if scan is None else [points[scan == i] for i in np.unique(scan)]
-    found = [np.empty(0)]
+    by_scan = [np.empty(0)]
     for group in groups:
         if len(group) > 1:
             tree = cKDTree(group, balanced_tree=False, compact_nodes=False)  # several times faster to build
             distance = np.asarray(tree.query(group, 2, workers=2)[0])[:, 1]
-            found.append(distance[distance > 0])
-    distances = np.concatenate(found)
+            by_scan.append(distance[distance > 0])
+    distances = np.concatenate(by_scan)
     return float(np.median(distances)) if len(distances) else float("nan")
 
 
@@ -150,13 +150,13 @@ def estimate_normals(points: Floats, sensor_positions: Floats) -> Floats:
 
 
 def _principal(
-    tree: cKDTree, points: Floats, toward: NDArray[np.float32], chosen: NDArray[np.intp], neighbours: int
+    tree: cKDTree, points: Floats, toward: NDArray[np.float32], rows: NDArray[np.intp], neighbours: int
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return normals (C, 3), directions of widest spread (C, 3) and whether the neighbours span a plane (C,)."""
     count = min(neighbours, len(points))
 
     def chunk(start: int) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        part = chosen[start : start + _CHUNK]
+        part = rows[start : start + _CHUNK]
         index = tree.query(points[part], count)[1]
         # float32 is enough for offsets of neighbours (7 digits of some millimetres), and halves the memory traffic.
         offsets = (points[index] - points[part, None, :]).astype(np.float32)
@@ -173,8 +173,8 @@ def _principal(
         return normals, vectors[:, :, 2], (values[:, 1] > _ROW * values[:, 2]) & (np.abs(cosine) > _EDGE_ON)
 
     with ThreadPoolExecutor(2) as pool:  # NumPy and the tree release the interpreter lock
-        parts = list(pool.map(chunk, range(0, len(chosen), _CHUNK)))
+        parts = list(pool.map(chunk, range(0, len(rows), _CHUNK)))
     if not parts:
         return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.bool_)
-    found, along, is_sure = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return found, along, is_sure
+    estimates, along, is_sure = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return estimates, along, is_sure

@@ -107,14 +107,14 @@ def _alternatives(results: Sequence[tuple[float, Floats]], free: Floats, length:
     """Describe other mounts that fit about as well and do not differ by a free motion alone."""
     (least, T), *others = results
     observed = np.eye(6) - free @ free.T
-    found = []
+    sentences = []
     for cost, other in others:
         change = screw_from_motion(other @ np.linalg.inv(T), T[:3, 3])
         distance = np.linalg.norm(observed @ (change * length_scale(length)))
         if cost < _AS_GOOD * max(least, 1.0) and distance > _SAME * length:
             position = ", ".join(f"{1000 * value:.1f}" for value in other[:3, 3])
-            found.append(f"a mount at {position} mm fits about as well; take more scans")
-    return tuple(dict.fromkeys(found))
+            sentences.append(f"a mount at {position} mm fits about as well; take more scans")
+    return tuple(dict.fromkeys(sentences))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,12 +190,12 @@ def _cost(result: tuple[float, Floats]) -> float:
 
 def _start_rotations(rng: np.random.Generator) -> Sequence[Floats]:
     """Return the 24 rotations that map axes to axes, and random ones."""
-    found = []
+    rotations = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         R = np.eye(3)[list(order)] * np.array(signs)[:, None]
         if np.linalg.det(R) > 0:
-            found.append(R)
-    return [*found, *Rotation.random(_RANDOM, random_state=rng).as_matrix()]
+            rotations.append(R)
+    return [*rotations, *Rotation.random(_RANDOM, random_state=rng).as_matrix()]
 
 
 MIN_POINTS = 30
@@ -282,11 +282,11 @@ def fit_spheres(
     Raises:
         TargetNotFoundError: as `fit_sphere`, with the name of the scan.
     """
-    found = _fit_each(scans, names, lambda points: fit_sphere(points, radius, rng))
+    targets = _fit_each(scans, names, lambda points: fit_sphere(points, radius, rng))
     if radius is not None:
-        return found
-    weights = np.array([max(each.radius_sd, _EXACT) ** -2 for each in found])
-    common = float(weights @ [each.radius for each in found] / weights.sum())
+        return targets
+    weights = np.array([max(each.radius_sd, _EXACT) ** -2 for each in targets])
+    common = float(weights @ [each.radius for each in targets] / weights.sum())
     sd = float(weights.sum() ** -0.5)
     return [
         replace(each, radius_sd=sd) for each in _fit_each(scans, names, lambda points: fit_sphere(points, common, rng))
@@ -303,13 +303,13 @@ def fit_planes(scans: Sequence[Floats], rng: np.random.Generator, names: Sequenc
 
 
 def _fit_each(scans: Sequence[Floats], names: Sequence[str], fit: Callable[[Floats], Target]) -> list[Target]:
-    found = []
+    targets = []
     for number, points in enumerate(scans):
         try:
-            found.append(fit(points))
+            targets.append(fit(points))
         except TargetNotFoundError as error:
             raise TargetNotFoundError(f"{names[number] if names else f'scan {number + 1}'}: {error}") from error
-    return found
+    return targets
 
 
 def fit_plane(points: Floats, rng: np.random.Generator) -> Target:
@@ -364,12 +364,12 @@ def _least_median(
     judges = points[:: max(1, len(points) // _JUDGES)]
     for _ in range(_DRAWS):
         try:
-            found = through(points[rng.choice(len(points), count, replace=False)])
+            surface = through(points[rng.choice(len(points), count, replace=False)])
         except np.linalg.LinAlgError:
             continue
-        median = float(np.median(np.abs(distance(judges, found))))
+        median = float(np.median(np.abs(distance(judges, surface))))
         if np.isfinite(median) and (best is None or median < best[0]):
-            best = median, found
+            best = median, surface
     if best is None:
         raise TargetNotFoundError("the points do not determine a target; all random subsets of them lie on a line")
     return best[1]

@@ -164,9 +164,9 @@ class _BodyFit:
         matrix, gradient, weight, _ = self._problem.normal_equations(self._problem.match())
         information, slope = np.zeros((6, 6)), np.zeros(6)
         for number, view in enumerate(self._views):
-            own, A = slice(6 * number, 6 * number + 6), recentring_matrix(view.centre - centre)
-            information += A.T @ matrix[own, own] @ A
-            slope += A.T @ gradient[own]
+            block, A = slice(6 * number, 6 * number + 6), recentring_matrix(view.centre - centre)
+            information += A.T @ matrix[block, block] @ A
+            slope += A.T @ gradient[block]
         return information, slope, float(weight.sum()), centre, length
 
     def descend(self, steps: int) -> None:
@@ -187,9 +187,9 @@ class _BodyFit:
         The removed motion is the smallest of the part, not of its scanned points. The directions are held because
         observed or not is a threshold, which a step may cross.
         """
-        information, _, weight, own, own_length = self.equations()
+        information, _, weight, points_centre, own_length = self.equations()
         _, free = split_directions(information, weight, own_length)
-        self._held = recentre_directions(free, self._centre - own, (own_length, self._length))
+        self._held = recentre_directions(free, self._centre - points_centre, (own_length, self._length))
         self.set_motion(remove_free_motion(self.T, self._held, self._centre, self._length))
 
     def cost(self) -> float:
@@ -203,9 +203,9 @@ class _BodyFit:
 
     def result(self) -> RigidFit:
         """Return the fit at the current motion, about the part's centre and with its length."""
-        information, _, weight, own, own_length = self.equations()
-        observed, free = self._split(information, weight, own, own_length)
-        A = recentring_matrix(self._centre - own)
+        information, _, weight, points_centre, own_length = self.equations()
+        observed, free = self._split(information, weight, points_centre, own_length)
+        A = recentring_matrix(self._centre - points_centre)
         residuals, spread = self._nearest.closest(self.points).distance, self.spread()
         is_inlier = residuals <= _OUTLIER * max(spread, 1e-6)
         doubts = []
@@ -219,7 +219,7 @@ class _BodyFit:
         return RigidFit(
             self.T,
             A @ restricted_covariance(information, observed, own_length) @ A.T,
-            recentre_directions(free, self._centre - own, (own_length, self._length)),
+            recentre_directions(free, self._centre - points_centre, (own_length, self._length)),
             self._centre,
             self._length,
             residuals[is_inlier],
@@ -227,12 +227,14 @@ class _BodyFit:
             doubts=tuple(doubts),
         )
 
-    def _split(self, information: Floats, weight: float, own: Floats, own_length: float) -> tuple[Floats, Floats]:
-        """Return observed directions and free or held ones, about the points' centre `own` (3,)."""
+    def _split(
+        self, information: Floats, weight: float, points_centre: Floats, own_length: float
+    ) -> tuple[Floats, Floats]:
+        """Return observed directions and free or held ones, about the points' centre `points_centre` (3,)."""
         if self._held is None:
             return split_directions(information, weight, own_length)
         count = self._held.shape[1]
-        free = recentre_directions(self._held, own - self._centre, (self._length, own_length))
+        free = recentre_directions(self._held, points_centre - self._centre, (self._length, own_length))
         return (np.linalg.svd(free)[0][:, count:] if count else np.eye(6)), free
 
 

@@ -176,15 +176,15 @@ def free_motions(free: Floats, centre: Floats, length: float) -> tuple[FreeMotio
     motions = free @ combinations.T
     slides = motions[:3, sizes < _NO_TURN]
     slides = np.linalg.qr(slides)[0] if slides.shape[1] else slides
-    found = [FreeMotion(FreeKind.TRANSLATION, _positive(slide), centre) for slide in slides.T]
+    all_motions = [FreeMotion(FreeKind.TRANSLATION, _positive(slide), centre) for slide in slides.T]
     for column in np.flatnonzero(sizes >= _NO_TURN):
         axis = turns[:, column]
         shift = motions[:3, column] / sizes[column] * length  # metres a radian about `axis`
         shift = shift - slides @ (slides.T @ shift)  # the translations are free already
         pitch = float(shift @ axis)
         kind = FreeKind.SCREW if abs(pitch) > 0.1 * length else FreeKind.ROTATION
-        found.append(FreeMotion(kind, _positive(axis), centre + np.cross(axis, shift)))
-    return tuple(found)
+        all_motions.append(FreeMotion(kind, _positive(axis), centre + np.cross(axis, shift)))
+    return tuple(all_motions)
 
 
 def surface_type(motions: Sequence[FreeMotion]) -> str:

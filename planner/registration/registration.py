@@ -50,8 +50,8 @@ class MovingScan:
         self._all_normals = scan.normals if isinstance(scan, PointCloud) else estimate_normals(scan.points, scan.sensor)
         self._tree = cKDTree(scan.points, balanced_tree=False, compact_nodes=False) if len(scan) else None
         count = min(samples, len(scan))
-        chosen = (np.arange(count) * len(scan)) // max(count, 1)
-        self._points, self._normals = scan.points[chosen], self._all_normals[chosen]
+        rows = (np.arange(count) * len(scan)) // max(count, 1)
+        self._points, self._normals = scan.points[rows], self._all_normals[rows]
         self.spacing = point_spacing(scan.points, scan.scan if isinstance(scan, PointCloud) else None)
         self.T: Floats = np.eye(4)
 
@@ -134,7 +134,7 @@ class JointProblem:
 
     def match(self) -> list[Matches]:
         """Match at the current corrections, always the same points in the same order."""
-        found = []
+        matches = []
         if self._model is not None and self._to_model:
             clouds = [self.scans[i].points for i in self._to_model]
             closest = self._model.closest(np.concatenate(clouds))  # one call for all: the tree's threads start once
@@ -143,15 +143,15 @@ class JointProblem:
             for i, points in zip(self._to_model, clouds, strict=True):
                 part = slice(start, start + len(points))
                 start += len(points)
-                own, foot, distance = self.scans[i].normals, closest.point[part], closest.distance[part]
-                found.append(self._weigh(i, -1, points, foot, smooth[part], own, distance, np.inf))
+                scan_normals, foot, distance = self.scans[i].normals, closest.point[part], closest.distance[part]
+                matches.append(self._weigh(i, -1, points, foot, smooth[part], scan_normals, distance, np.inf))
         for i, j in self.pairs:
             every = slice(None, None, self._stride[i])
             points = self.scans[i].points[every]
             distance, partner, normals = self.scans[j].nearest(points)
             limit = _MAX_OFFSET * self.scans[j].spacing
-            found.append(self._weigh(i, j, points, partner, normals, self.scans[i].normals[every], distance, limit))
-        return found
+            matches.append(self._weigh(i, j, points, partner, normals, self.scans[i].normals[every], distance, limit))
+        return matches
 
     def normal_equations(self, matches: Sequence[Matches]) -> tuple[Floats, Floats, Floats, Ints]:
         """Assemble the normal equations of all matches.
@@ -165,22 +165,22 @@ class JointProblem:
         weight, used = np.zeros(count), np.zeros(count, dtype=np.int64)
         centres = [scan.centre for scan in self.scans]
         for m in matches:
-            own, other = slice(6 * m.scan, 6 * m.scan + 6), slice(6 * m.partner, 6 * m.partner + 6)
+            block, partner_block = slice(6 * m.scan, 6 * m.scan + 6), slice(6 * m.partner, 6 * m.partner + 6)
             j_own = np.hstack([m.normals, np.cross(m.points - centres[m.scan], m.normals)])
             weighted = m.weight[:, None] * j_own
-            matrix[own, own] += weighted.T @ j_own
-            gradient[own] += weighted.T @ m.residual
+            matrix[block, block] += weighted.T @ j_own
+            gradient[block] += weighted.T @ m.residual
             weight[m.scan] += m.weight.sum()
             used[m.scan] += (m.weight > 0).sum()
             if m.partner >= 0:
                 # Both levers end at the same point, so that a motion of all scans together costs exactly nothing.
                 j_other = -np.hstack([m.normals, np.cross(m.points - centres[m.partner], m.normals)])
                 cross = weighted.T @ j_other
-                matrix[own, other] += cross
-                matrix[other, own] += cross.T
+                matrix[block, partner_block] += cross
+                matrix[partner_block, block] += cross.T
                 weighted = m.weight[:, None] * j_other
-                matrix[other, other] += weighted.T @ j_other
-                gradient[other] += weighted.T @ m.residual
+                matrix[partner_block, partner_block] += weighted.T @ j_other
+                gradient[partner_block] += weighted.T @ m.residual
                 weight[m.partner] += m.weight.sum()
                 used[m.partner] += (m.weight > 0).sum()
         return matrix, gradient, weight, used
@@ -194,8 +194,8 @@ class JointProblem:
         matrix, gradient, weight, used = self.normal_equations(self.match())
         bases = []
         for i, scan in enumerate(self.scans):
-            own = slice(6 * i, 6 * i + 6)
-            seen, _ = split_directions(matrix[own, own], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
+            block = slice(6 * i, 6 * i + 6)
+            seen, _ = split_directions(matrix[block, block], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
             per_length = np.array([1.0, 1.0, 1.0, *([1 / scan.length] * 3)]) if seen.shape[1] else np.ones(6)
             bases.append(per_length[:, None] * seen / np.sqrt(weight[i] or 1.0))
         edges = np.cumsum([0, *(basis.shape[1] for basis in bases)])
@@ -382,8 +382,8 @@ def placement_sd(points: Floats, nearest: ClosestPointQuery) -> tuple[float, flo
     np.add.at(b, block, J * off[:, None])
     for k in range(n):
         A[k] = J[block == k].T @ J[block == k]
-    found = np.stack([np.linalg.pinv(A.sum(axis=0) - A[k], 1e-6) @ (b.sum(axis=0) - b[k]) for k in range(n)])
-    covariance = (n - 1) / n * (found - found.mean(axis=0)).T @ (found - found.mean(axis=0))
+    estimates = np.stack([np.linalg.pinv(A.sum(axis=0) - A[k], 1e-6) @ (b.sum(axis=0) - b[k]) for k in range(n)])
+    covariance = (n - 1) / n * (estimates - estimates.mean(axis=0)).T @ (estimates - estimates.mean(axis=0))
     along, about = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
     return along, about / length
 
@@ -444,8 +444,8 @@ def register(
     matrix, _, weight, used = problem.normal_equations(after)
     results, squares = [], []
     for i, scan in enumerate(moving):
-        own = slice(6 * i, 6 * i + 6)
-        _, free = split_directions(matrix[own, own], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
+        block = slice(6 * i, 6 * i + 6)
+        _, free = split_directions(matrix[block, block], weight[i] if used[i] >= MIN_MATCHES else 0.0, scan.length)
         pair = _residuals(i, before, after, nearest is not None)
         result = _judge(scan, pair, free, used[i] >= MIN_MATCHES, bool(moved[i] < _STILL), reach)
         results.append(result)
@@ -463,12 +463,12 @@ def _residuals(
 
     The partner is the model if there is one, else the other scans.
     """
-    chosen = [(a, b) for a, b in zip(before, after, strict=True) if b.scan == i and (b.partner < 0) == has_model]
-    if not chosen:
+    pairs = [(a, b) for a, b in zip(before, after, strict=True) if b.scan == i and (b.partner < 0) == has_model]
+    if not pairs:
         return np.empty(0), np.empty(0), 0.0
-    counts = np.concatenate([b.weight > 0 for _, b in chosen])
-    first = np.concatenate([a.residual for a, _ in chosen])[counts]
-    last = np.concatenate([b.residual for _, b in chosen])[counts]
+    counts = np.concatenate([b.weight > 0 for _, b in pairs])
+    first = np.concatenate([a.residual for a, _ in pairs])[counts]
+    last = np.concatenate([b.residual for _, b in pairs])[counts]
     return first, last, float(counts.mean())
 
 

@@ -230,13 +230,13 @@ def measure_deviation(
     nearest = reference if isinstance(reference, ClosestPointQuery) else ClosestPointQuery(reference)
     surfaces, counts = [mesh], [count]
     if closed is not None and closed.any():
-        surfaces = [TriangleMesh(mesh.vertices, mesh.faces[chosen]) for chosen in (~closed, closed)]
+        surfaces = [TriangleMesh(mesh.vertices, mesh.faces[mask]) for mask in (~closed, closed)]
         counts = [count, -(-count // 10)]
     samples = [sample_by_area(surface, n, rng) for surface, n in zip(surfaces, counts, strict=True)]
     signed = nearest.signed_distance(np.concatenate([mesh.vertices, *samples]))
     at_vertices, *over_area = np.split(signed, np.cumsum([len(mesh.vertices), *counts])[:-1])
     used = [np.unique(surface.faces) for surface in surfaces]
-    parts = [_statistics(at_vertices, at_vertices[own], at) for own, at in zip(used, over_area, strict=True)]
+    parts = [_statistics(at_vertices, at_vertices[mask], at) for mask, at in zip(used, over_area, strict=True)]
     result = replace(parts[0], closed=parts[1]) if len(parts) > 1 else parts[0]
     edges = sharp_edge_points(nearest.mesh, edge_band / 2) if edge_band > 0 else np.zeros((0, 3))
     if not len(edges):

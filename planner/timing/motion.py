@@ -140,13 +140,13 @@ def retime(
     samples, owner = [(np.zeros(1), vias[:1], np.zeros_like(vias[:1]), np.zeros_like(vias[:1]))], [segments[:1]]
     for k in np.flatnonzero(durations > 0).tolist():
         if on_line[k + 1] < 0:
-            found = _sample_move(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
+            piece = _sample_move(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
         elif k in lines:
-            own = slice(k, k + len(lines[k].times))
-            found = _sample_line(lines[k], vias[own], via_t[own], sample_period)
+            line_rows = slice(k, k + len(lines[k].times))
+            piece = _sample_line(lines[k], vias[line_rows], via_t[line_rows], sample_period)
         else:
             continue  # sampled with the first piece of the line
-        times, q, qd, qdd = found
+        times, q, qd, qdd = piece
         samples[-1][-1][-1] = qdd[0]  # the acceleration that begins at the stop replaces the one that ends there
         samples.append((times[1:], q[1:], qd[1:], qdd[1:]))
         owner.append(np.full(len(times) - 1, segments[k + 1]))

@@ -182,14 +182,14 @@ class _Ascent:
                 )
                 from_start = min(from_start, met[0])
             through[start] = from_start
-        kept = through + self.prize[1:].sum() <= self.upper * (1.0 + _ROUNDING)
-        if kept.all():
+        is_retained = through + self.prize[1:].sum() <= self.upper * (1.0 + _ROUNDING)
+        if is_retained.all():
             return
-        sizes = np.add.reduceat(kept.astype(np.int64), self.first[:-1])
+        sizes = np.add.reduceat(is_retained.astype(np.int64), self.first[:-1])
         if (sizes == 0).any():  # no tour is as cheap as the upper bound, which a given tour can only reach by rounding
             return
-        self.cost = np.ascontiguousarray(self.cost[np.ix_(kept, kept)])
-        self.number, self.first = self.number[kept], np.concatenate(([0], np.cumsum(sizes)))
+        self.cost = np.ascontiguousarray(self.cost[np.ix_(is_retained, is_retained)])
+        self.number, self.first = self.number[is_retained], np.concatenate(([0], np.cumsum(sizes)))
         self._index()
 
     def _index(self) -> None:

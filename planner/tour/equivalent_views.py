@@ -79,19 +79,21 @@ class VisibilityIndex:
 
     def counts(self, views: Iterable[int]) -> Ints:
         """Return (S,) the number of distinct views that measure each sample."""
-        found = np.zeros(self._rows.shape[0], dtype=np.int64)
+        counts = np.zeros(self._rows.shape[0], dtype=np.int64)
         for view in set(views):
-            found[self.measured_by(view)] += 1
-        return found
+            counts[self.measured_by(view)] += 1
+        return counts
 
     def measuring(self, samples: Ints, slack: float = 0.0) -> Bools:
         """Return (V,) whether each usable candidate measures all samples except for a slack area [m^2]."""
-        found = self._rows[samples]
+        entries_of = self._rows[samples]
         if slack <= 0.0:  # counted, so that no rounding decides
-            return np.asarray(self.usable & (np.bincount(found.indices, minlength=len(self.usable)) == len(samples)))
+            return np.asarray(
+                self.usable & (np.bincount(entries_of.indices, minlength=len(self.usable)) == len(samples))
+            )
         areas = self.areas[samples]
-        entries = np.repeat(areas, np.diff(found.indptr))
-        measured = np.bincount(found.indices, weights=entries, minlength=len(self.usable))
+        entries = np.repeat(areas, np.diff(entries_of.indptr))
+        measured = np.bincount(entries_of.indices, weights=entries, minlength=len(self.usable))
         return np.asarray(self.usable & (measured >= areas.sum() - slack))
 
     def area(self, samples: Bools | Ints) -> float:
@@ -129,11 +131,11 @@ def exchange_views(
     best = tours.first(current)
     before, replaces = best.cost, np.arange(len(current))
     while len(best.picks) > 1 and tours.count < _MAX_ORDERINGS:
-        found = _exchange_once(index, best, required, fixed, tours, slack)
-        if found is None or found.cost >= best.cost * (1.0 - 1e-9):
+        tour = _exchange_once(index, best, required, fixed, tours, slack)
+        if tour is None or tour.cost >= best.cost * (1.0 - 1e-9):
             break
-        best, kept = _without_repeats(found)
-        replaces = replaces[kept]
+        best, remaining = _without_repeats(tour)
+        replaces = replaces[remaining]
         measured = np.minimum(index.counts(best.picks.tolist()), 1)
         slack = max(slack + index.area(measured > required) - index.area(measured < required), 0.0)
         required = measured
@@ -176,13 +178,16 @@ class _Tours:
         return self._shortest(self.nearest(tour, groups), tour.order, tour)
 
     def _shortest(self, groups: Sequence[Ints], order: Ints, near: _Tour | None) -> _Tour:
-        found = [[self.configurations(int(view)) for view in group] for group in groups]
-        owners = [np.repeat(group, [len(q) for q in own]) for group, own in zip(groups, found, strict=True)]
-        joints = [np.concatenate(own) for own in found]
+        configurations = [[self.configurations(int(view)) for view in group] for group in groups]
+        owners = [
+            np.repeat(group, [len(q) for q in view_configurations])
+            for group, view_configurations in zip(groups, configurations, strict=True)
+        ]
+        joints = [np.concatenate(view_configurations) for view_configurations in configurations]
         if near is not None and too_many_nodes(joints):
-            kept = [best_nodes_on_tour(self._detours(near, k, q), len(groups)) for k, q in enumerate(joints)]
-            owners = [own[best] for own, best in zip(owners, kept, strict=True)]
-            joints = [q[best] for q, best in zip(joints, kept, strict=True)]
+            best_nodes = [best_nodes_on_tour(self._detours(near, k, q), len(groups)) for k, q in enumerate(joints)]
+            owners = [group_owners[rows] for group_owners, rows in zip(owners, best_nodes, strict=True)]
+            joints = [q[rows] for q, rows in zip(joints, best_nodes, strict=True)]
         nodes, first = np.concatenate([self.home[None], *joints]), np.concatenate(([0], node_offsets(joints)))
         problem = gtsp.make_instance(move_time(nodes[:, None], nodes, self.limits), first)
         solution = gtsp.solve(problem, order + 1, self.rng, _STEPS, None, warm=near is not None)
@@ -206,9 +211,9 @@ class _Tours:
             others = group[group != tour.picks[k]]
             detours = np.full(len(others), np.inf)
             if len(others):  # all in one call: a call for each would take ten times as long
-                found = [self.configurations(int(view)) for view in others]
-                owner = np.repeat(np.arange(len(others)), [len(q) for q in found])
-                np.minimum.at(detours, owner, self._detours(tour, k, np.concatenate(found)))
+                configurations = [self.configurations(int(view)) for view in others]
+                owner = np.repeat(np.arange(len(others)), [len(q) for q in configurations])
+                np.minimum.at(detours, owner, self._detours(tour, k, np.concatenate(configurations)))
             nearest = np.argsort(detours, kind="stable")[: MAX_ALTERNATIVES - 1]
             usable = [int(others[i]) for i in nearest if detours[i] < np.inf]
             reduced.append(np.array([tour.picks[k], *usable], dtype=np.int64))
@@ -224,22 +229,22 @@ def _exchange_once(
     owned: list[Ints] = [_NONE] * len(views)  # samples that must not be lost any more
     while tours.count < _MAX_ORDERINGS:
         members = [
-            _alternatives(index, int(view), rows, own, pinned, slack)
-            for view, rows, own in zip(views, needed, owned, strict=True)
+            _alternatives(index, int(view), rows, owned_samples, pinned, slack)
+            for view, rows, owned_samples in zip(views, needed, owned, strict=True)
         ]
-        found = tours.along(best, members)
-        counts = index.counts(found.picks.tolist())
-        lost = np.flatnonzero(counts < required)
-        if index.area(lost) <= slack + (index.area((counts > 0) & (required == 0)) if slack > 0.0 else 0.0):
-            return found
+        tour = tours.along(best, members)
+        counts = index.counts(tour.picks.tolist())
+        lost_samples = np.flatnonzero(counts < required)
+        if index.area(lost_samples) <= slack + (index.area((counts > 0) & (required == 0)) if slack > 0.0 else 0.0):
+            return tour
         # The owner of a lost sample is, of the views that measure it, the one with the largest share of alternatives
         # that measure it.
-        shares = np.array([_measuring_share(index, group, lost) for group in members])
+        shares = np.array([_measuring_share(index, group, lost_samples) for group in members])
         for k, view in enumerate(views):
-            shares[k, ~np.isin(lost, index.measured_by(int(view))) | np.isin(lost, owned[k])] = -1.0
+            shares[k, ~np.isin(lost_samples, index.measured_by(int(view))) | np.isin(lost_samples, owned[k])] = -1.0
         if (shares.max(axis=0) < 0.0).any():  # all its views own it: two of them were picked as one
             return None
-        for k, sample in zip(shares.argmax(axis=0), lost, strict=True):
+        for k, sample in zip(shares.argmax(axis=0), lost_samples, strict=True):
             owned[k] = np.append(owned[k], sample)
     return None
 
@@ -258,19 +263,19 @@ def _alternatives(
 
 def _measuring_share(index: VisibilityIndex, group: Ints, samples: Ints) -> Floats:
     """Return (n,) the share of the group's members that measure each sample."""
-    found = np.zeros(len(samples))
+    count = np.zeros(len(samples))
     for view in group:
-        found += np.isin(samples, index.measured_by(int(view)))
-    return found / len(group)
+        count += np.isin(samples, index.measured_by(int(view)))
+    return count / len(group)
 
 
 def _without_repeats(tour: _Tour) -> tuple[_Tour, Ints]:
     """Return the tour without views that were picked twice, and the numbers of the remaining groups."""
-    kept = np.sort(np.unique(tour.picks, return_index=True)[1])
+    remaining = np.sort(np.unique(tour.picks, return_index=True)[1])
     number = np.full(len(tour.picks), -1)
-    number[kept] = np.arange(len(kept))
+    number[remaining] = np.arange(len(remaining))
     order = number[tour.order]
-    return _Tour(tour.cost, tour.picks[kept], order[order >= 0], tour.q[order >= 0]), kept
+    return _Tour(tour.cost, tour.picks[remaining], order[order >= 0], tour.q[order >= 0]), remaining
 
 
 def _free_groups(index: VisibilityIndex, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:
@@ -282,14 +287,14 @@ def _free_groups(index: VisibilityIndex, views: Ints, required: Ints, pinned: fr
     exclusive = [_alternatives(index, int(v), rows, _NONE, pinned) for v, rows in zip(views, needed, strict=True)]
     waiting = required.copy()
     groups: list[Ints] = [_NONE] * len(views)
-    taken = np.zeros(len(index.usable), dtype=np.bool_)
-    taken[views] = True
+    is_assigned = np.zeros(len(index.usable), dtype=np.bool_)
+    is_assigned[views] = True
     for k in np.argsort([len(group) for group in exclusive], kind="stable"):
         rows = index.measured_by(int(views[k]))
         rows = rows[waiting[rows] > 0]
         waiting[rows] -= 1
         group = _alternatives(index, int(views[k]), rows, _NONE, pinned)
-        group = group[~taken[group] | (group == views[k])]
-        taken[group] = True
+        group = group[~is_assigned[group] | (group == views[k])]
+        is_assigned[group] = True
         groups[k] = group
     return groups

@@ -192,10 +192,12 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
         total = reached + cost[members[-1], start]
         if float(total.min()) < best:
             best = float(total.min())
-            chosen = [int(total.argmin())]
+            path_nodes = [int(total.argmin())]
             for parents in reversed(came_from):
-                chosen.append(int(parents[chosen[-1]]))
-            tour = np.array([start, *(m.start + i for m, i in zip(members, chosen[::-1], strict=True))], dtype=np.int64)
+                path_nodes.append(int(parents[path_nodes[-1]]))
+            tour = np.array(
+                [start, *(m.start + i for m, i in zip(members, path_nodes[::-1], strict=True))], dtype=np.int64
+            )
     return best, tour
 
 
@@ -208,8 +210,8 @@ def solve_exactly(problem: Instance) -> TourSolution:
     """Find the optimum over all orders and nodes by dynamic programming over subsets; see `exact_effort`."""
     if problem.n_clusters == 1:
         return TourSolution(np.zeros(1, dtype=np.int64), 0.0, 0.0)
-    found = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
-    cost, tour = min(found, key=lambda pair: pair[0])
+    solutions = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
+    cost, tour = min(solutions, key=lambda pair: pair[0])
     return _solution(problem, tour, cost, cost)
 
 

@@ -107,15 +107,15 @@ def order_views(
     baseline = _christofides(instance, T_base_scanner, T_base_home)
     starts = [baseline] if start is None else [baseline, _complete(instance, start)]
     best = int(np.argmin([gtsp.best_nodes(instance, order)[0] for order in starts]))
-    found = gtsp.solve(instance, starts[best], rng, budget, bound_effort, warm=best == 1)
+    solution = gtsp.solve(instance, starts[best], rng, budget, bound_effort, warm=best == 1)
     return OrderedViews(
-        **_order_of(instance, problem, found.cost, found.tour, optimal=found.optimal),
+        **_order_of(instance, problem, solution.cost, solution.tour, optimal=solution.optimal),
         baseline_duration=_time(gtsp.best_nodes(instance, baseline)[0]),
-        lower_bound=_time(found.lower_bound),
+        lower_bound=_time(solution.lower_bound),
     )
 
 
-def fixed_order(given: Sequence[int]) -> Ordering:
+def fixed_order(views: Sequence[int]) -> Ordering:
     """Return an ordering that keeps a given order of some views; without effect if one of them is missing.
 
     Each remaining view is inserted in turn at the place with the fastest tour, with the best configurations. If a bound
@@ -125,10 +125,10 @@ def fixed_order(given: Sequence[int]) -> Ordering:
     def ordering(problem: TourProblem, *arguments: Any, **options: Any) -> OrderedViews:
         instance = problem.instance()
         n = instance.n_clusters - 1
-        if n <= max(given, default=-1):
+        if n <= max(views, default=-1):
             return order_views(problem, *arguments, **options)  # the caller reports the missing views
-        order = np.array(given, dtype=np.int64)
-        for view in sorted(set(range(n)) - set(given)):
+        order = np.array(views, dtype=np.int64)
+        for view in sorted(set(range(n)) - set(views)):
             trials = [np.insert(order, place, view) for place in range(len(order) + 1)]
             order = min(trials, key=lambda trial: gtsp.best_nodes(instance, trial + 1)[0])
         has_bound = options.get("bound_effort") is not None
@@ -159,7 +159,7 @@ def overlapping_order(overlap: Bools) -> Ordering:
             return free
         instance = problem.instance()
         both = (free.order, free.order[::-1])
-        grown = [grow_order(overlap, wanted, first) for wanted in both for first in range(len(overlap))]
+        grown = [grow_order(overlap, guide, first) for guide in both for first in range(len(overlap))]
         starts = [order for order in grown if order is not None]
         if not starts:
             return free  # the overlap graph is not connected; the caller reports it
@@ -173,9 +173,9 @@ def overlapping_order(overlap: Bools) -> Ordering:
                 if trials <= 0 or not is_connected_order(overlap, trial):
                     continue
                 trials -= 1
-                found = gtsp.best_nodes(instance, trial + 1)
-                if found[0] < cost * (1 - 1e-12):
-                    (cost, tour), best = found, trial
+                solution = gtsp.best_nodes(instance, trial + 1)
+                if solution[0] < cost * (1 - 1e-12):
+                    (cost, tour), best = solution, trial
         return replace(free, **_order_of(instance, problem, cost, tour))
 
     return ordering
@@ -186,15 +186,15 @@ def is_connected_order(overlap: Bools, order: Ints) -> bool:
     return all(overlap[order[k], order[:k]].any() for k in range(1, len(order)))
 
 
-def grow_order(overlap: Bools, wanted: Ints, first: int) -> Ints | None:
+def grow_order(overlap: Bools, guide: Ints, first: int) -> Ints | None:
     """Return the connected order from a first view that follows another order where it can, or None without any.
 
     Args:
         overlap: (n, n) whether views overlap.
-        wanted: (n,) the order to follow, cyclically from the first view.
+        guide: (n,) the order to follow, cyclically from the first view.
         first: the first view.
     """
-    waiting = np.roll(wanted, -int(np.flatnonzero(wanted == first)[0])).tolist()
+    waiting = np.roll(guide, -int(np.flatnonzero(guide == first)[0])).tolist()
     order = [waiting.pop(0)]
     while waiting:
         following = next((view for view in waiting if overlap[view, order].any()), None)

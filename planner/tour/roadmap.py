@@ -93,8 +93,8 @@ class Roadmap:
 
     def path(self, a: int, b: int) -> Floats | None:
         """Return (m, axes) certified via points from node a to node b [rad], or None if the edge is not real yet."""
-        found = self._paths.get((min(a, b), max(a, b)))
-        return found if found is None or a <= b else found[::-1]
+        path = self._paths.get((min(a, b), max(a, b)))
+        return path if path is None or a <= b else path[::-1]
 
     def inspect(self, edges: Iterable[Edge]) -> bool:
         """Certify the straight moves of uninspected edges; return whether all of them are free."""
@@ -162,8 +162,8 @@ class Roadmap:
         for attempt in range(tries):
             rng = np.random.default_rng([self._seed, a, b, 1 + attempt])
             if attempt % 2:
-                found = connect(self.q[a], self.q[b], self.checker, self.limits, rng, self._path_checks)
-                via, used = found.via, found.checks
+                result = connect(self.q[a], self.q[b], self.checker, self.limits, rng, self._path_checks)
+                via, used = result.via, result.checks
             else:
                 via, used = shorten(best, self.checker, self.limits, rng, self._path_checks // 2)
             self.checks += used
@@ -183,12 +183,12 @@ class Roadmap:
         if any(self._geometry[node] == self._geometry[other] for node in (a, b) if node for other in self.isolated):
             budget //= 4  # the same geometry, some turns apart, could not be reached
         budget = max(min(budget, self._total_checks - self.checks), _MIN_SEARCH)
-        found = connect(self.q[a], self.q[b], self.checker, self.limits, self._rng(a, b), budget)
-        self.checks += found.checks
-        if found.via is None:
+        result = connect(self.q[a], self.q[b], self.checker, self.limits, self._rng(a, b), budget)
+        self.checks += result.checks
+        if result.via is None:
             self._failed.add((a, b))
             return False
-        self._set_path(a, b, found.via)
+        self._set_path(a, b, result.via)
         return True
 
     def _set_path(self, a: int, b: int, via: Floats) -> None:

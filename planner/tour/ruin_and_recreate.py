@@ -87,8 +87,8 @@ def _anneal(
     temperature, cooling = hot, (cold / hot) ** (1.0 / max(1, steps - 1))
     for _ in range(steps):
         _copy(tour, trial)
-        gone, saved = _ruin(problem, trial, removed, is_out, longest, most_strings, state)
-        trial_cost = tour_cost + saved + _recreate(problem, trial, removed, gone, is_out, state)
+        n_removed, saved = _ruin(problem, trial, removed, is_out, longest, most_strings, state)
+        trial_cost = tour_cost + saved + _recreate(problem, trial, removed, n_removed, is_out, state)
         accepted = tour_cost - temperature * np.log(1.0 - _uniform(state))
         if trial_cost <= min(accepted, best_cost) + _PROMISING * tour_cost / m:
             trial_cost = _choose_nodes(problem, root, trial, layers)
@@ -164,14 +164,14 @@ def _ruin(
     Returns the number of removed clusters and the change of the tour's cost.
     """
     cost, _, _, near = problem
-    m, gone, more = tour.shape[1], 0, 0.0
+    m, n_removed, more = tour.shape[1], 0, 0.0
     strings = int(_uniform(state) * most_strings) + 1
     for k in near[int(_uniform(state) * m)]:
-        if strings == 0 or m - gone <= 2:
+        if strings == 0 or m - n_removed <= 2:
             break
         if is_out[k]:
             continue
-        length = min(int(_uniform(state) * longest) + 1, m - gone - 2)
+        length = min(int(_uniform(state) * longest) + 1, m - n_removed - 2)
         at = k
         for _ in range(int(_uniform(state) * length)):
             at = tour[_BEFORE, at]
@@ -181,22 +181,24 @@ def _ruin(
             more += cost[a, b] - cost[a, v] - cost[v, b]
             tour[_AFTER, before], tour[_BEFORE, after] = after, before
             is_out[at] = 1
-            removed[gone] = at
-            gone += 1
+            removed[n_removed] = at
+            n_removed += 1
             at = after
         strings -= 1
-    return gone, more
+    return n_removed, more
 
 
 @compiled
-def _recreate(problem: Problem, tour: Ints, removed: Ints, gone: int, is_out: Ints, state: NDArray[np.uint64]) -> float:
+def _recreate(
+    problem: Problem, tour: Ints, removed: Ints, n_removed: int, is_out: Ints, state: NDArray[np.uint64]
+) -> float:
     """Insert the removed clusters in random order, each at its cheapest place; return the change of the cost."""
     cost, back, first, near = problem
     total = 0.0
-    for i in range(gone - 1, 0, -1):
+    for i in range(n_removed - 1, 0, -1):
         j = int(_uniform(state) * (i + 1))
         removed[i], removed[j] = removed[j], removed[i]
-    for r in range(gone):
+    for r in range(n_removed):
         k = removed[r]
         least, place, node, beside = np.inf, -1, first[k], 0
         for c in near[k]:

@@ -179,18 +179,18 @@ class TourSearch:
         onward.reverse()
         reached, nodes, at = np.zeros(1), [0], 0
         totals: list[Floats] = []
-        found: list[Ints] = []
+        edges: list[Ints] = []
         for step, a, b, rest in zip(steps, layers, layers[1:], onward[1:], strict=False):
             total = reached[:, None] + step + rest
             i, j = np.nonzero(uninspected[leave[a][:, None], b])
             totals.append(total[i, j])
-            found.append(np.stack((leave[a][i], b[j]), axis=1))
+            edges.append(np.stack((leave[a][i], b[j]), axis=1))
             at = int((step[at] + rest).argmin())
             nodes.append(int(b[at]))
             reached = (reached[:, None] + step).min(axis=0)
         count = self.budget.neighbours * (len(self.views) // gtsp.MANY_CLUSTERS if self.very_many else 1)
         best = _smallest(np.concatenate(totals), count)
-        return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
+        return nodes, [(int(a), int(b)) for a, b in np.concatenate(edges)[best]]
 
     def polish(self) -> None:
         """Search the detours of the best tour again with more effort."""
@@ -246,7 +246,7 @@ class TourSearch:
         place = {view: k for k, view in enumerate(self.views)}
         known = [self.view_of(node) for node in before[1:-1]] or self.visits.known
         start = [place[view] for view in known if view in place]
-        found = self.ordering(
+        ordering = self.ordering(
             TourProblem(roadmap.q[flat], node_offsets(nodes), times, leave, self.stays[flat]),
             self.visits.T_base_scanner[self.views],
             np.random.default_rng([self.seed, self.rounds]),
@@ -256,28 +256,32 @@ class TourSearch:
             start=np.array(start) if start else None,
         )
         if self.rounds == 0:  # before any inspection: times of straight moves, which no path undercuts
-            self.baseline, self.lower_bound = found.baseline_duration, found.lower_bound
+            self.baseline, self.lower_bound = ordering.baseline_duration, ordering.lower_bound
         self.rounds += 1
-        self.ordered_time = found.duration
-        return [0, *(int(nodes[k][i]) for k, i in zip(found.order, found.choice, strict=True)), 0]
+        self.ordered_time = ordering.duration
+        return [0, *(int(nodes[k][i]) for k, i in zip(ordering.order, ordering.choice, strict=True)), 0]
 
     def best_of(self, nodes: list[Ints], tour: list[int]) -> list[Ints]:
         """Return the nodes of each view with the shortest detours from a tour; all nodes of a view not on the tour."""
         times, leave = self.roadmap.times, self.roadmap.leave
         place = {self.view_of(node): k for k, node in enumerate(tour)}
-        kept = []
-        for view, own in zip(self.views, nodes, strict=True):
+        nearest_nodes = []
+        for view, view_nodes in zip(self.views, nodes, strict=True):
             if (k := place.get(view)) is not None:
-                detours = times[leave[tour[k - 1]], own] + self.stays[own] + times[leave[own], tour[k + 1]]
-                own = own[best_nodes_on_tour(detours, len(nodes))]
-            kept.append(own)
-        return kept
+                detours = (
+                    times[leave[tour[k - 1]], view_nodes]
+                    + self.stays[view_nodes]
+                    + times[leave[view_nodes], tour[k + 1]]
+                )
+                view_nodes = view_nodes[best_nodes_on_tour(detours, len(nodes))]
+            nearest_nodes.append(view_nodes)
+        return nearest_nodes
 
     def drop_unconnected(self) -> None:
         """Move views that lost their last configuration to `unconnected`."""
-        lost = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
-        self.unconnected += lost
-        self.views = [k for k in self.views if k not in lost]
+        unconnected_views = [k for k in self.views if len(self.roadmap.nodes_of(k)) == 0]
+        self.unconnected += unconnected_views
+        self.views = [k for k in self.views if k not in unconnected_views]
 
     def usable(self, node: int) -> bool:
         """Return whether a node can still be entered and left."""
@@ -293,9 +297,9 @@ class TourSearch:
 
     def path(self, a: int, b: int) -> Floats:
         """Return the certified via points of a real edge."""
-        found = self.roadmap.path(a, b)
-        assert found is not None, "the edge is real"
-        return found
+        path = self.roadmap.path(a, b)
+        assert path is not None, "the edge is real"
+        return path
 
     def report(self, edges: list[Edge]) -> None:
         """Report the number of real edges of the tour."""

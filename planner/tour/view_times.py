@@ -36,13 +36,13 @@ def least_move_times(q: Floats, offsets: Ints, home: Floats, limits: JointLimits
     scaled = q / limits.velocity
     others = min(_TIMED + int(np.diff(offsets).max()), len(q))
     near, at = map(np.asarray, KDTree(scaled).query(scaled, np.arange(1, others + 1), p=np.inf))
-    beyond = _time_bound(near[:, -1], limits) if others < len(q) else np.full(len(q), np.inf)
+    bound = _time_bound(near[:, -1], limits) if others < len(q) else np.full(len(q), np.inf)
     times = np.where(owner[at] == owner[:, None], np.inf, move_time(q[:, None], q[at], limits))
     first = times.argmin(axis=1)
     one = times.min(axis=1)
     times[owner[at] == owner[at[np.arange(len(q)), first]][:, None]] = np.inf  # two moves lead to two candidates
     to_home = move_time(home, q, limits)
-    moves = np.stack([one, times.min(axis=1), beyond, beyond, to_home, to_home], axis=1)
+    moves = np.stack([one, times.min(axis=1), bound, bound, to_home, to_home], axis=1)
     two = np.sort(moves, axis=1)[:, :2].sum(axis=1)
     rows = np.flatnonzero(np.diff(offsets))
     least[rows] = 0.5 * np.minimum.reduceat(two, offsets[rows])

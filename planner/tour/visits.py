@@ -102,8 +102,8 @@ class Visits(Value):
         object.__setattr__(self, "configurations", tuple(views))
         freeze(self, n=len(views))
         if self.traversals is not None:
-            for k, (q, own) in enumerate(zip(views, self.traversals, strict=True)):
-                _check_traversals(k, q, own)
+            for k, (q, traversals) in enumerate(zip(views, self.traversals, strict=True)):
+                _check_traversals(k, q, traversals)
 
     @property
     def q(self) -> Floats:
@@ -121,14 +121,14 @@ class Visits(Value):
         if self.traversals is None:
             return np.arange(self.offsets[-1])
         views = zip(self.offsets.tolist(), self.traversals, strict=False)
-        return np.array([0, *(first + traversal.leaves for first, own in views for traversal in own)])
+        return np.array([0, *(first + traversal.leaves for first, traversals in views for traversal in traversals)])
 
     @property
     def stays(self) -> Floats:
         """(N,) time between arriving and leaving [s]."""
         if self.traversals is None:
             return np.zeros(self.offsets[-1])
-        return np.array([0.0, *(traversal.duration for own in self.traversals for traversal in own)])
+        return np.array([0.0, *(traversal.duration for traversals in self.traversals for traversal in traversals)])
 
 
 def _check_traversals(view: int, q: Floats, traversals: Sequence[SweepTraversal]) -> None:

@@ -36,15 +36,15 @@ def memory_table(neighbours: Ints, count: Ints) -> tuple[Ints, Ints]:
     for k, size in enumerate(count):
         bit[k, neighbours[k, :size]] = np.arange(size)
     number = np.where(bit >= 0, 1 << np.maximum(bit, 0), 0)  # [k, i]: i as a member of NG(k)
-    kept = []
+    tables = []
     for a, size in enumerate(count):
         members = neighbours[a, :size]
         holds = np.arange(1 << size)[:, None] >> np.arange(size) & 1
         arrived = number[:, a] | holds @ number[:, members].T
         arrived[:, a] = -1
         arrived[:, members] = np.where(holds, -1, arrived[:, members])
-        kept.append(arrived)
-    return np.concatenate(kept), np.concatenate(([0], np.cumsum(1 << count)[:-1]))
+        tables.append(arrived)
+    return np.concatenate(tables), np.concatenate(([0], np.cumsum(1 << count)[:-1]))
 
 
 @compiled

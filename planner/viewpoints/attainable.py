@@ -65,13 +65,13 @@ def probe_attainable(targets: RayTargets, evaluator: ViewEvaluator) -> Attainabl
                     aimed = transfer_poses(targets, rows, elements, known, _NEIGHBOURS, scanner)
                 else:
                     continue
-                found = poses_with_free_sight(aimed, targets, scanner, evaluator.casters)
-                visible[found.row] = True
-                found = _first_reachable(found, evaluator)
-                measured[found.row] = True
-                known = known.extend(found)
+                poses = poses_with_free_sight(aimed, targets, scanner, evaluator.casters)
+                visible[poses.row] = True
+                poses = _first_reachable(poses, evaluator)
+                measured[poses.row] = True
+                known = known.extend(poses)
                 still_open = np.flatnonzero(~measured)
-                few = evaluator.views(found.pick(np.arange(min(len(found), _SHARED))))
+                few = evaluator.views(poses.pick(np.arange(min(len(poses), _SHARED))))
                 measured[still_open] = evaluator.measured(few, targets, still_open).any(axis=1)
     return Attainable(measured, visible | measured)
 
@@ -79,15 +79,15 @@ def probe_attainable(targets: RayTargets, evaluator: ViewEvaluator) -> Attainabl
 def _first_reachable(aimed: AimedPoses, evaluator: ViewEvaluator) -> AimedPoses:
     """Return the first reachable pose of each point; later poses of the point are not tested."""
     order = np.argsort(aimed.row, kind="stable")
-    kept = []
+    rows = []
     while len(order):
-        own, first = np.unique(aimed.row[order], return_index=True)
+        points, first = np.unique(aimed.row[order], return_index=True)
         tested = order[first]
         reachable = evaluator.are_reachable(evaluator.views(aimed.pick(tested))[:, None] @ evaluator.T_view_scanner)
-        kept.append(tested[reachable])
+        rows.append(tested[reachable])
         order = np.delete(order, first)
-        order = order[~np.isin(aimed.row[order], own[reachable])]
-    which = np.concatenate([*kept, np.empty(0, dtype=np.int64)])
+        order = order[~np.isin(aimed.row[order], points[reachable])]
+    which = np.concatenate([*rows, np.empty(0, dtype=np.int64)])
     return aimed.pick(which[np.argsort(aimed.row[which])])
 
 

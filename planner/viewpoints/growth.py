@@ -106,18 +106,18 @@ class ViewEvaluator:
         """
         K = len(self.T_view_scanner)
         poses = (views[:, None] @ self.T_view_scanner).reshape(-1, 4, 4)
-        found = np.zeros((len(rows), len(views)), dtype=np.bool_)
+        is_measured = np.zeros((len(rows), len(views)), dtype=np.bool_)
         together = max(1, _PAIRS // max(len(rows), 1)) * K
         for first in range(0, len(poses), together):
-            some = poses[first : first + together]
-            visible = in_view_matrix(targets, some, self.scanner, rows)
+            block = poses[first : first + together]
+            visible = in_view_matrix(targets, block, self.scanner, rows)
             if threshold is not None:
                 bound = (visible @ threshold[0]).reshape(-1, K).sum(axis=1)
                 visible[np.repeat(bound <= threshold[1], K)] = False
             pose, row = np.nonzero(visible)
-            free = lines_of_sight_free(targets, some, pose, rows[row], self.scanner, self.casters)
-            found[row[free], (first + pose[free]) // K] = True
-        return found
+            free = lines_of_sight_free(targets, block, pose, rows[row], self.scanner, self.casters)
+            is_measured[row[free], (first + pose[free]) // K] = True
+        return is_measured
 
 
 def grow(
@@ -190,15 +190,17 @@ class _Growth:
     def _add(self, aimed: AimedPoses) -> None:
         """Add the few poses that measure the largest part of the scouts with too few views."""
         order = np.argsort(aimed.row, kind="stable")
-        own = aimed.row[order]
-        aimed = aimed.pick(np.sort(order[np.arange(len(own)) - np.searchsorted(own, own) < _COMPARED]))
+        rows_in_order = aimed.row[order]
+        aimed = aimed.pick(
+            np.sort(order[np.arange(len(rows_in_order)) - np.searchsorted(rows_in_order, rows_in_order) < _COMPARED])
+        )
         if not len(aimed):
             return
         rows = np.flatnonzero(self.count < self.multiplicity)
         measured = self.evaluator.measured(self.evaluator.views(aimed), self.targets, rows)
-        chosen = _select_greedily(measured, self.multiplicity - self.count[rows])
-        self.count[rows] += np.minimum(measured[:, chosen].sum(axis=1), self.multiplicity - self.count[rows])
-        self.known = self.known.extend(aimed.pick(chosen))
+        selection = _select_greedily(measured, self.multiplicity - self.count[rows])
+        self.count[rows] += np.minimum(measured[:, selection].sum(axis=1), self.multiplicity - self.count[rows])
+        self.known = self.known.extend(aimed.pick(selection))
 
 
 def _select_greedily(measured: Bools, demand: Ints) -> Ints:
@@ -208,13 +210,13 @@ def _select_greedily(measured: Bools, demand: Ints) -> Ints:
     """
     demand = np.minimum(demand, measured.sum(axis=1))
     useful = measured.astype(np.float32)  # sums of ones, exact below 2^24, by a fast product
-    chosen: list[int] = []
+    selection: list[int] = []
     while (demand > 0).any():
         best = int(((demand > 0).astype(np.float32) @ useful).argmax())
-        chosen.append(best)
+        selection.append(best)
         demand = demand - measured[:, best]
         useful[:, best] = 0.0
-    return np.array(sorted(chosen), dtype=np.int64)
+    return np.array(sorted(selection), dtype=np.int64)
 
 
 def _spread(rows: Ints) -> Ints:

@@ -112,8 +112,8 @@ def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None 
             for all_ in (targets.points, targets.normals)
         )
         codes = rejections(targets, slice(start, stop) if block is None else block, scanner, points - origin, normals)
-        found = np.flatnonzero(codes == Rejection.MEASURED)
-        passed.append(found + start if block is None else block[found])
+        hits = np.flatnonzero(codes == Rejection.MEASURED)
+        passed.append(hits + start if block is None else block[hits])
     return np.concatenate(passed) if passed else np.empty(0, dtype=np.int64)
 
 

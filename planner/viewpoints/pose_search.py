@@ -173,26 +173,26 @@ def search_poses(
     Returns:
         The result; Ctrl-C ends the search with the views so far.
     """
-    found = [pool.pick(initial)]
+    selections = [pool.pick(initial)]
     count, before_last_part = max(1, len(initial) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
     search = None
     try:
         with deferred_interrupt():
             search = _Search(pool, places, weights, effort, rng, pool_measured, progress)
-            while search.evaluated < before_last_part and len(found[-1]) > 1:
-                count = min(count, len(found[-1]) - 1)
-                fewer = search.repaired(found[-1], count, shortfall, before_last_part)
+            while search.evaluated < before_last_part and len(selections[-1]) > 1:
+                count = min(count, len(selections[-1]) - 1)
+                fewer = search.repaired(selections[-1], count, shortfall, before_last_part)
                 if fewer is not None:
-                    found.append(fewer)
+                    selections.append(fewer)
                 elif count > 1:
                     count //= 2
-            if len(found) > 1 and (moved := search.with_larger_area(found[-1], shortfall)) is not None:
-                found.append(moved)
+            if len(selections) > 1 and (moved := search.with_larger_area(selections[-1], shortfall)) is not None:
+                selections.append(moved)
     except KeyboardInterrupt as stop:
         if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
             raise
-        return SearchResult(found, 0 if search is None else search.evaluated, is_interrupted=True)
-    return SearchResult(found, search.evaluated)
+        return SearchResult(selections, 0 if search is None else search.evaluated, is_interrupted=True)
+    return SearchResult(selections, search.evaluated)
 
 
 class _Search:
@@ -214,8 +214,8 @@ class _Search:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
         measured = self._measured(start)
         goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
-        kept = self._needed_most(measured, removed)
-        self._set(start.pick(kept), measured[kept])
+        remaining = self._needed_most(measured, removed)
+        self._set(start.pick(remaining), measured[remaining])
         limit = effort if removed == 1 else min(effort, self.evaluated + effort // 5)
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
         returns = 0
@@ -233,8 +233,8 @@ class _Search:
             elif since > _PATIENCE:
                 returns, since = returns + 1, 0
                 if returns % _RETURNS == 0:  # begin again without other views
-                    kept = np.sort(self.rng.permutation(len(start))[removed:])
-                    self._set(start.pick(kept), measured[kept])
+                    remaining = np.sort(self.rng.permutation(len(start))[removed:])
+                    self._set(start.pick(remaining), measured[remaining])
                     best, best_area = (self.views, self.measured.copy()), self._area()
                 else:
                     self._set(*best)
@@ -254,21 +254,21 @@ class _Search:
 
     def _measured(self, poses: SearchPoses) -> Bools:
         """Return (n, S) whether each pose measures each sample."""
-        found = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
+        is_measured = np.zeros((len(poses), len(self.weights)), dtype=np.bool_)
         for place in np.unique(poses.place):
-            own = np.flatnonzero(poses.place == place)
-            found[own] = self.places[place].evaluator.measured(poses.T_object_scanner[own])
-        return found
+            indices = np.flatnonzero(poses.place == place)
+            is_measured[indices] = self.places[place].evaluator.measured(poses.T_object_scanner[indices])
+        return is_measured
 
     def _sums(self, T: Floats, rows: Ints, starts: Ints, least: Floats) -> Floats:
         """Return (n, P) approximate weights of the open rows that proposals (n, P, 4, 4) of the views measure."""
         sums = np.empty(T.shape[:2])
         for place in np.unique(self.views.place):
-            own = np.flatnonzero(self.views.place == place)
-            rows_of = np.concatenate([rows[starts[view] : starts[view + 1]] for view in own])
-            starts_of = np.concatenate([[0], np.cumsum(np.diff(starts)[own])])
+            indices = np.flatnonzero(self.views.place == place)
+            rows_of = np.concatenate([rows[starts[view] : starts[view + 1]] for view in indices])
+            starts_of = np.concatenate([[0], np.cumsum(np.diff(starts)[indices])])
             evaluator = self.places[place].evaluator
-            sums[own] = evaluator.weights_measured(T[own], rows_of, starts_of, self.weights, least[own])
+            sums[indices] = evaluator.weights_measured(T[indices], rows_of, starts_of, self.weights, least[indices])
         return sums
 
     def _report(self, n_views: int) -> None:
@@ -285,13 +285,13 @@ class _Search:
 
     def _needed_most(self, measured: Bools, removed: int) -> Ints:
         """Return all views but `removed`: repeatedly drop the one with the smallest area that no other measures."""
-        kept, times = np.arange(len(measured)), measured.sum(axis=0)
+        remaining, times = np.arange(len(measured)), measured.sum(axis=0)
         for _ in range(removed):
-            alone = (measured[kept] & (times == 1)) @ self.weights
+            alone = (measured[remaining] & (times == 1)) @ self.weights
             least = int(np.argmin(alone))
-            times = times - measured[kept[least]]
-            kept = np.delete(kept, least)
-        return kept
+            times = times - measured[remaining[least]]
+            remaining = np.delete(remaining, least)
+        return remaining
 
     def _round(self) -> None:
         """Move each view to its best reachable proposal, if that loses nothing or little.
@@ -308,17 +308,17 @@ class _Search:
         tested = replace(self.views.pick(view), T_object_scanner=T[view, best[view, rank]])
         is_reachable = np.zeros(len(tested), dtype=np.bool_)
         for place in np.unique(tested.place):
-            own = tested.place == place
-            is_reachable[own] = self.places[place].are_reachable(tested.T_object_scanner[own])
+            is_here = tested.place == place
+            is_reachable[is_here] = self.places[place].are_reachable(tested.T_object_scanner[is_here])
         left = np.flatnonzero(is_reachable)
         while len(left):
-            own, first = np.unique(view[left], return_index=True)
-            some = tested.pick(left[first])
-            is_moved = self._accepted(own, self._measured(some), accepted[own])
+            views, first = np.unique(view[left], return_index=True)
+            moves = tested.pick(left[first])
+            is_moved = self._accepted(views, self._measured(moves), accepted[views])
             for number in np.flatnonzero(is_moved):
-                self.views = self.views.with_pose(int(own[number]), some.T_object_scanner[number])
+                self.views = self.views.with_pose(int(views[number]), moves.T_object_scanner[number])
             left = np.delete(left, first)
-            left = left[~np.isin(view[left], own[is_moved])]
+            left = left[~np.isin(view[left], views[is_moved])]
         if self.rounds % _FROM_POOL == _FROM_POOL - 1:
             self._take_from_pool()
         self.evaluated += n * _PROPOSALS
@@ -328,8 +328,8 @@ class _Search:
         """Replace each view by the best candidate, if that measures more."""
         for view in range(len(self.views)):
             rows = np.flatnonzero(self.count == self.measured[view])
-            own = float(self.weights[rows[self.measured[view, rows]]].sum())
-            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, own)
+            weight = float(self.weights[rows[self.measured[view, rows]]].sum())
+            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, weight)
             if candidate >= 0:
                 here = np.array([candidate])
                 if self._accepted(np.array([view]), self.pool_measured[here], np.zeros(1))[0]:
@@ -353,11 +353,11 @@ class _Search:
         turn = rotation_matrices((2 * u[:, 3:6] - 1) * (_MAX_TURN * scale))
         R, t = (np.repeat(each, _PROPOSALS, axis=0) for each in (T[:, :3, :3], T[:, :3, 3]))
         aim = t + distance[:, None] * R[:, :, 2]
-        found = np.tile(np.eye(4), (n * _PROPOSALS, 1, 1))
-        found[:, :3, :3] = turn @ R
-        found[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
-        found[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
-        return found.reshape(n, _PROPOSALS, 4, 4)
+        proposals = np.tile(np.eye(4), (n * _PROPOSALS, 1, 1))
+        proposals[:, :3, :3] = turn @ R
+        proposals[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
+        proposals[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
+        return proposals.reshape(n, _PROPOSALS, 4, 4)
 
 
 @compiled

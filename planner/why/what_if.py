@@ -205,7 +205,7 @@ def tilted_viewpoints(
     aside = np.cos(turn)[None, :, None] * first[:, None] + np.sin(turn)[None, :, None] * second[:, None]
     outward = (np.cos(tilt) * normals[:, None] + np.sin(tilt) * aside).reshape(-1, 3)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    made = aim_viewpoints(np.repeat(points, sides, axis=0), outward, np.full(len(outward), -1), [standoff], rolls)
+    viewpoints = aim_viewpoints(np.repeat(points, sides, axis=0), outward, np.full(len(outward), -1), [standoff], rolls)
     if sweep is None or len(sweep) == 1:
-        return made
-    return Viewpoints(made.T_object_scanner @ sweep, made.face, made.standoff, made.roll)
+        return viewpoints
+    return Viewpoints(viewpoints.T_object_scanner @ sweep, viewpoints.face, viewpoints.standoff, viewpoints.roll)

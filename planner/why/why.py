@@ -120,14 +120,14 @@ def diagnose(
     search = _Search(targets, rows, poses, scanner, casters, last)
     order = np.argsort(-last.astype(np.int64), kind="stable")  # best class first: its points need no other
     previous = -1
-    for done, pose in enumerate(order):
+    for n_done, pose in enumerate(order):
         if last[pose] != previous:
             search.cast()
             search.retire(int(last[pose]))
             previous = int(last[pose])
         search.check(int(pose), float(standoff[pose]))
-        if progress and done % 32 == 31:
-            progress(done + 1, len(poses))
+        if progress and n_done % 32 == 31:
+            progress(n_done + 1, len(poses))
     search.cast()
     if progress:
         progress(len(poses), len(poses))

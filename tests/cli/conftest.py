@@ -135,13 +135,13 @@ class Firefox:
         preferences |= {"network.proxy.ssl_port": 9}  # a port without a listener: no request to the vendor succeeds
         lines = (f'user_pref("{name}", {json.dumps(value)});\n' for name, value in preferences.items())
         (profile / "user.js").write_text("".join(lines))
-        shown, screen = os.pipe()
+        display_output, screen = os.pipe()
         self._screen = subprocess.Popen(
             ["Xvfb", "-displayfd", str(screen), "-screen", "0", "1000x700x24", "-nolisten", "tcp"], pass_fds=(screen,),
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(screen)
-        with os.fdopen(shown) as words:
+        with os.fdopen(display_output) as words:
             display = f":{words.readline().strip()}"
         self._process = subprocess.Popen(
             [str(self.program), "--marionette", "--remote-allow-system-access", "--no-remote", "--profile",
@@ -250,9 +250,9 @@ def browser(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """Yield each installed browser."""
     if request.param.missing:
         pytest.skip(request.param.missing)
-    made: Chromium | Firefox = request.param(tmp_path_factory.mktemp("browser"))
-    yield made
-    made.close()
+    browser_process: Chromium | Firefox = request.param(tmp_path_factory.mktemp("browser"))
+    yield browser_process
+    browser_process.close()
 
 
 @pytest.fixture(params=[()])
@@ -260,5 +260,5 @@ def chromium(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Chromiu
     """Yield Chromium with further flags."""
     if Chromium.missing:
         pytest.skip(Chromium.missing)
-    with contextlib.closing(Chromium(tmp_path, *request.param)) as made:
-        yield made
+    with contextlib.closing(Chromium(tmp_path, *request.param)) as browser_process:
+        yield browser_process

@@ -168,13 +168,13 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
         return np.concatenate([points, stray[-1]])
 
     files = export(run, simulated.folder.name, tmp_path / "files", as_ply("<f8"), change=dirty)
-    kept = files[1].with_suffix(".ply").read_bytes()
+    content = files[1].with_suffix(".ply").read_bytes()
     files[1].with_suffix(".ply").unlink()
-    named = {"acquire": f"files:{tmp_path / 'files'}", "points_frame": "scanner", "points_units": "mm"}
-    outcome = scan(run, **named)
+    options = {"acquire": f"files:{tmp_path / 'files'}", "points_frame": "scanner", "points_units": "mm"}
+    outcome = scan(run, **options)
     assert outcome.exit_code == 6
     assert outcome.report.missing_views == (2,)
-    files[1].with_suffix(".ply").write_bytes(kept)
+    files[1].with_suffix(".ply").write_bytes(content)
     outcome = scan_command.resume(Session(None, Terminal(quiet_stdout=True)), run, outcome.folder.name, None)
     assert outcome.report.missing_views == ()
     ours, theirs = outcome.report, simulated.report
@@ -220,8 +220,8 @@ def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) 
     )  # fmt: skip
     assert outcome.report.missing_views == (2,)
     events = [json.loads(line) for line in (outcome.folder / "events.jsonl").read_text().splitlines()]
-    taken = [event for event in events if event["event"] == "scan"]
-    assert {event["calls"] for event in taken} == {2}
+    scan_events = [event for event in events if event["event"] == "scan"]
+    assert {event["calls"] for event in scan_events} == {2}
     assert [event["number"] for event in events if event["event"] == "missing"] == [2]
     stored = read_scan(outcome.folder / "scans" / "0001.npz")
     T = stored.stored["T_object_scanner"]
@@ -254,10 +254,10 @@ def test_a_growing_file_is_read_when_its_size_is_constant(run: Path, tmp_path: P
     files = Files(str(folder), context, now=lambda: time_[0], sleep=sleep)
     eye = np.eye(4)[None]
     view = View(7, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))
-    taken = files.take(view)
-    assert isinstance(taken, Acquired)
-    np.testing.assert_allclose(taken.points, [[0.01, 0.02, 0.03]] * 4)
-    assert taken.details["points_of"] == str(path)
+    acquired = files.take(view)
+    assert isinstance(acquired, Acquired)
+    np.testing.assert_allclose(acquired.points, [[0.01, 0.02, 0.03]] * 4)
+    assert acquired.details["points_of"] == str(path)
     assert "view 7" in message[0]
     assert files.take(View(8, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))) is None
     assert "view 8 is missing" in message[-1]

@@ -29,9 +29,9 @@ def box(folder: Path, name: str, top: float = 0.0) -> Path:
 def box_plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the run folder of a plan of the nominal box."""
     folder = tmp_path_factory.mktemp("box")
-    made = api.plan(box(folder, "box.stl"), units="mm", place=(1150, 400, 60), faces=200, effort=0, out=folder / "run")
-    assert made.exit_code == 0
-    return made.folder
+    run = api.plan(box(folder, "box.stl"), units="mm", place=(1150, 400, 60), faces=200, effort=0, out=folder / "run")
+    assert run.exit_code == 0
+    return run.folder
 
 
 def test_a_raised_face_deviates_by_its_height(box_plan: Path, tmp_path: Path) -> None:
@@ -58,13 +58,13 @@ def test_numbers_with_and_without_edges_are_everywhere(box_plan: Path) -> None:
     """report.json, report.md, the page and the terminal state both."""
     from cell.report import scan_report
 
-    done = api.scan(box_plan, resolution=0.8)
-    note = done.report.deviation.edge_note
+    execution = api.scan(box_plan, resolution=0.8)
+    note = execution.report.deviation.edge_note
     assert "about sharp edges" in note
-    assert done.report.deviation.with_edges.max_mm >= done.report.deviation.max_mm
-    assert note in dict(scan_report.table(done.report))["surface"]
-    assert note in (done.folder / "report.md").read_text()
-    assert note in (done.folder / "view.html").read_text()
+    assert execution.report.deviation.with_edges.max_mm >= execution.report.deviation.max_mm
+    assert note in dict(scan_report.table(execution.report))["surface"]
+    assert note in (execution.folder / "report.md").read_text()
+    assert note in (execution.folder / "view.html").read_text()
 
 
 def test_a_resumed_execution_needs_the_same_file(box_plan: Path, tmp_path: Path, run_cell: RunCommand) -> None:
@@ -86,8 +86,8 @@ def test_a_resumed_execution_needs_the_same_file(box_plan: Path, tmp_path: Path,
     (whole.folder / "manifest.json").write_text(json.dumps(manifest))
     content = actual.read_bytes()
     actual.write_bytes(box(tmp_path, "other.stl", 2 * RAISED).read_bytes())
-    done = run_cell("scan", run, "--resume", name, cwd=tmp_path, code=2)
-    assert "its sha256 differs" in done.stderr
+    process = run_cell("scan", run, "--resume", name, cwd=tmp_path, code=2)
+    assert "its sha256 differs" in process.stderr
     actual.write_bytes(content)
     run_cell("scan", run, "--resume", name, cwd=tmp_path, code=0)
     np.testing.assert_allclose(np.load(last)["points"], expected)
@@ -105,11 +105,11 @@ def test_an_actual_part_in_the_clearance_is_refused(box_plan: Path, tmp_path: Pa
 
 def test_a_real_scanner_measures_the_real_part(box_plan: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """The option is refused with another source of points."""
-    done = run_cell(
+    process = run_cell(
         "scan", box_plan, "--acquire", f"files:{tmp_path}", "--points-frame", "base", "--points-units", "mm",
         "--actual", box(tmp_path, "b.stl"), cwd=tmp_path, code=2,
     )  # fmt: skip
-    assert "a real scanner measures the real part; omit --actual" in done.stderr
+    assert "a real scanner measures the real part; omit --actual" in process.stderr
 
 
 def test_all_setups_are_scanned_on_the_same_mesh(

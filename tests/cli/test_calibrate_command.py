@@ -65,13 +65,13 @@ def test_insufficient_scans_are_refused(run_cell: RunCommand, scans: Path, tmp_p
         ((*files, "--points-units", "mm", "--poses", files[0]), 6, "six numbers"),
         ((*files, tmp_path / "gone.ply", "--points-units", "mm"), 6, "cannot be read"),
     ):
-        done = run_cell("calibrate", "hand-eye", *words, cwd=tmp_path)
-        assert (done.returncode, message in done.stderr) == (code, True), done.stderr
+        process = run_cell("calibrate", "hand-eye", *words, cwd=tmp_path)
+        assert (process.returncode, message in process.stderr) == (code, True), process.stderr
     rows = (scans / "poses.csv").read_text().splitlines()
     (tmp_path / "one.csv").write_text("\n".join([rows[1]] * 6))
     same = [files[0]] * 6
-    done = run_cell(
+    process = run_cell(
         "calibrate", "hand-eye", *same, "--points-units", "mm", "--poses", tmp_path / "one.csv", cwd=tmp_path, code=2
     )
-    assert "do not determine the mount" in done.stderr
-    assert "[mount]" not in done.stdout
+    assert "do not determine the mount" in process.stderr
+    assert "[mount]" not in process.stdout

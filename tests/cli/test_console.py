@@ -21,9 +21,9 @@ def cell(*words: str | bytes, **environment: str) -> subprocess.CompletedProcess
 def test_characters_that_a_console_lacks_are_replaced(tmp_path: Path, encoding: str) -> None:
     """Superscripts become digits; the command succeeds."""
     trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.glb")
-    done = cell("part", str(tmp_path / "box.glb"), PYTHONIOENCODING=encoding)
-    assert done.returncode == 0, done.stderr
-    text = done.stdout.decode(encoding)
+    process = cell("part", str(tmp_path / "box.glb"), PYTHONIOENCODING=encoding)
+    assert process.returncode == 0, process.stderr
+    text = process.stdout.decode(encoding)
     assert "60,000.0 mm2" in text.replace("²", "2")
     assert "1,000,000.0 mm3" in text.replace("³", "3")
 
@@ -33,9 +33,9 @@ def test_names_that_are_not_text_are_refused_before_any_work(tmp_path: Path) -> 
     """A name with a Latin-1 byte ends with exit code 2, as input and as result."""
     name = os.fsencode(tmp_path) + b"/Geh\xe4use.stl"
     for words in (("part", name, "--units", "mm"), ("plan", "--out", name)):
-        done = cell(*words)
-        assert done.returncode == 2
-        assert b"is not valid UTF-8 text; rename it" in done.stderr
+        process = cell(*words)
+        assert process.returncode == 2
+        assert b"is not valid UTF-8 text; rename it" in process.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a closed pipe is another error on Windows")
@@ -45,6 +45,6 @@ def test_a_reader_that_closes_the_output_is_no_failure(words: tuple[str, ...]) -
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-m", "cell", *words]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, env=ENVIRONMENT, check=False)
+    process = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, env=ENVIRONMENT, check=False)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (process.returncode, process.stderr) == (0, b"")

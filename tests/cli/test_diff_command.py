@@ -38,8 +38,8 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: RunCommand,
     """The output is one sentence for a plan and for an execution. In JSON the lists of differences are empty."""
     execution = executed / "executions" / "0001"
     for run in (executed, execution):
-        done = run_cell("diff", run, run, cwd=tmp_path)
-        assert (done.returncode, done.stdout) == (0, "nothing differs\n"), done.stderr
+        process = run_cell("diff", run, run, cwd=tmp_path)
+        assert (process.returncode, process.stdout) == (0, "nothing differs\n"), process.stderr
     output = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
     assert output["kind"] == "execution"
     views = output["views"]
@@ -70,8 +70,8 @@ def test_settings_views_and_areas_of_two_plans(
         ).covered
         for run in (a, b)
     ]
-    lost, gained = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
-    assert (output["surface"]["only_a_mm2"], output["surface"]["only_b_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
+    loss, gain = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
+    assert (output["surface"]["only_a_mm2"], output["surface"]["only_b_mm2"]) == pytest.approx((loss, gain), abs=1e-3)
     message = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
     assert "speed_scaling" in message
     assert "that A measures." in message
@@ -84,7 +84,7 @@ def test_settings_views_and_areas_of_two_plans(
             assert view["time"] is None
     (layer,) = data["surfaces"][0]["layers"]
     shares = [float(re.search(r"\((.*)\u00a0%\)", name)[1]) for name, _ in layer["named"]]  # type: ignore[index] # as written
-    expected = [1e6 * samples.areas[mask].sum() for mask in (seen[0] & seen[1], ~seen[0] & ~seen[1])] + [lost, gained]
+    expected = [1e6 * samples.areas[mask].sum() for mask in (seen[0] & seen[1], ~seen[0] & ~seen[1])] + [loss, gain]
     np.testing.assert_allclose(shares, 100 * np.array(expected) / output["surface"]["area_mm2"], atol=0.006)
     assert np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8).max() < 4
 
@@ -105,8 +105,8 @@ def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cel
 def test_areas_of_executions_are_areas_near_points(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """An execution with one view measures less of the surface. The loss is recounted from the two clouds."""
     shutil.copytree(executed, tmp_path / "run")
-    done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
-    assert done.returncode in (0, 3), done.stderr
+    process = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
+    assert process.returncode in (0, 3), process.stderr
     whole, one = (tmp_path / "run" / "executions" / number for number in ("0001", "0002"))
     output = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
     assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in output["settings"]]

@@ -47,8 +47,8 @@ def explored(made_once: Callable[..., Path], part_file: Path, run_cell: RunComma
 
     def make(folder: Path) -> None:
         command = ("explore", part_file, "--units", "mm", *OPTIONS, "--out", "explored", "--json")
-        done = run_cell(*command, cwd=folder, code=0)
-        (folder / "stdout").write_text(done.stdout)
+        process = run_cell(*command, cwd=folder, code=0)
+        (folder / "stdout").write_text(process.stdout)
 
     return made_once("explored", make) / "explored"
 
@@ -81,10 +81,10 @@ def test_grown_and_refined_candidates_are_like_others(part_file: Path, tmp_path:
     run = open_finished(tmp_path / "explored" / "stages" / "0002")
     M, candidates, cell = run.measurability, run.candidates, read_cell(run)
     assert len(candidates) == len(run.reach) == M.shape[1]
-    chosen = [run.plan.views[0].id, *range(len(candidates) - 10, len(candidates))]
+    columns = [run.plan.views[0].id, *range(len(candidates) - 10, len(candidates))]
     casters = (cell.part_caster, cell.occluder_caster)
-    found = find_measured(candidates.T_object_scanner[chosen], M.samples, cell.scanner, casters, each=True)
-    np.testing.assert_array_equal(M.matrix()[:, chosen].toarray() > 0, found)
+    found = find_measured(candidates.T_object_scanner[columns], M.samples, cell.scanner, casters, each=True)
+    np.testing.assert_array_equal(M.matrix()[:, columns].toarray() > 0, found)
     assert len(np.load(tmp_path / "explored" / "stages" / "0002.voxels.npz")["between"]) > 100
 
 
@@ -159,9 +159,9 @@ def test_a_missing_earlier_scan_is_reported_before_any_motion(
     again = _stopped_after_the_first(explored, tmp_path)
     shutil.rmtree(again / "stages" / "0002")
     damage(again / "stages" / "0001" / "executions" / "0001" / "scans" / "0002.npz")
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path, code=6)
-    assert "stages/0001" in done.stderr
-    assert "start a new exploration" in done.stderr
+    process = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path, code=6)
+    assert "stages/0001" in process.stderr
+    assert "start a new exploration" in process.stderr
     assert not (again / "stages" / "0002").exists()
 
 
@@ -298,12 +298,12 @@ def test_other_options_do_not_go_on_there(
     explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """The folder of another exploration and a folder without an exploration are refused."""
-    done = run_cell(
+    process = run_cell(
         "explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path, code=2
     )
-    assert "other options" in done.stderr
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path, code=6)
-    assert "not an exploration" in done.stderr
+    assert "other options" in process.stderr
+    process = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path, code=6)
+    assert "not an exploration" in process.stderr
 
 
 @pytest.mark.parametrize(
@@ -324,8 +324,8 @@ def test_invalid_explorations_are_refused_before_a_folder_is_made(
     """An invalid exploration is refused with exit code 2, and no folder is created."""
     (tmp_path / "setups.toml").write_text('[[setup]]\nname = "up"\nposition_mm = [1100, 400, 100]\n')
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
-    done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path, code=2)
-    assert message in done.stderr
+    process = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path, code=2)
+    assert message in process.stderr
     assert not (tmp_path / "new").exists()
 
 
@@ -334,10 +334,10 @@ def test_a_cylinder_smaller_than_the_part_is_reported_after_the_ring(
 ) -> None:
     """Points outside the cylinder end the exploration before a stage is recorded. The standoff suits the cylinder."""
     options = ["100" if word == "250" else word for word in OPTIONS]
-    done = run_cell(
+    process = run_cell(
         "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path, code=6
     )
-    assert "outside the cylinder" in done.stderr
+    assert "outside the cylinder" in process.stderr
     assert schema.read_explore_file(tmp_path / "new" / "explore.json").batches == ()
 
 
@@ -351,19 +351,19 @@ def test_the_page_shows_the_views_in_order(
     page, file = (tmp_path / "page.html").read_text(), schema.read_explore_file(explored / "explore.json")
     assert page == explore_page(explored)
     assert not re.search(r'(src|href)="(?!data:)', page.partition("</head>")[0])
-    shown = data_of(page)
-    assert [view["number"] for view in shown["views"]] == ["1", "2", "3", "4", "5"]
-    times = [view["time"] for view in shown["views"]]
+    data = data_of(page)
+    assert [view["number"] for view in data["views"]] == ["1", "2", "3", "4", "5"]
+    times = [view["time"] for view in data["views"]]
     assert times == sorted(times)
     assert times[-1] < sum(stage.seconds for stage in file.batches)
-    assert [dict(view["rows"])["view"] for view in shown["views"]] == [
+    assert [dict(view["rows"])["view"] for view in data["views"]] == [
         "1, batch 1", "2, batch 1", "3, batch 1", "4, batch 2", "5, batch 2",
     ]  # fmt: skip
-    assert "unseen" not in {piece["name"] for piece in shown["pieces"]}
-    layer = shown["surfaces"][0]["layers"][0]
+    assert "unseen" not in {piece["name"] for piece in data["pieces"]}
+    layer = data["surfaces"][0]["layers"][0]
     assert (layer["kind"], layer["width"]) == ("views", 1)
     seen = np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8)
     assert (seen > 0).mean() > 0.7  # faces that close holes have no point near them
-    assert base64.b64decode(shown["curve"].partition("base64,")[2]).startswith(b"\x89PNG")
+    assert base64.b64decode(data["curve"].partition("base64,")[2]).startswith(b"\x89PNG")
     with pytest.raises(FileError, match="no finished batch yet"):
         explore_page(explored, file.model_copy(update={"batches": ()}))

@@ -25,9 +25,9 @@ def test_files_are_written_below_the_run_folder_and_are_reproducible(
     """Each call replaces `export/` and leaves the plan unchanged. Repeated exports have equal bytes and no path."""
     run = Path(shutil.copytree(planned, tmp_path / "trial"))
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
-    done = run_cell("export", str(run), cwd=tmp_path, code=0)
-    assert done.stdout.split() == [str(run / "export" / name) for name in ("trial.src", "trial.dat")]
-    assert "docs/export.md" in done.stderr
+    process = run_cell("export", str(run), cwd=tmp_path, code=0)
+    assert process.stdout.split() == [str(run / "export" / name) for name in ("trial.src", "trial.dat")]
+    assert "docs/export.md" in process.stderr
     first = {path.name: path.read_bytes() for path in (run / "export").iterdir()}
     assert run_cell("export", str(run), "--settle", "1", cwd=tmp_path).returncode == 0
     assert (run / "export" / "trial.dat").read_bytes() != first["trial.dat"]
@@ -75,8 +75,8 @@ def test_csv_and_json_agree_with_each_other_and_with_the_plan(
 
 def test_json_option_prints_one_object(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """Stdout is one object with the name, the speed and the files."""
-    done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "0.07", "--json", cwd=tmp_path)
-    outcome = json.loads(done.stdout)
+    process = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "0.07", "--json", cwd=tmp_path)
+    outcome = json.loads(process.stdout)
     assert (outcome["name"], outcome["speed_percent"]) == ("A1", 7)
     assert [Path(name).name for name in outcome["files"]] == ["A1.src", "A1.dat"]
     assert b"BAS(#VEL_PTP,7)\r\n" in (tmp_path / "x" / "A1.src").read_bytes()
@@ -84,8 +84,8 @@ def test_json_option_prints_one_object(planned: Path, run_cell: RunCommand, tmp_
 
 def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The defaults are 20 % of the speeds and 30 % of the accelerations, or the scaling of the plan if it is lower."""
-    done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--json", cwd=tmp_path)
-    outcome = json.loads(done.stdout)
+    process = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--json", cwd=tmp_path)
+    outcome = json.loads(process.stdout)
     assert (outcome["speed_percent"], outcome["acceleration_percent"]) == (20, 30)
     source = (tmp_path / "x" / "A1.src").read_bytes()
     assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
@@ -163,8 +163,8 @@ def test_a_changed_file_in_an_output_folder_is_not_replaced(
     edited = tmp_path / "out" / "P.dat"
     edited.write_bytes(edited.read_bytes().replace(b"SC_DONE=1", b"SC_DONE=9"))
     content = edited.read_bytes()
-    done = run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path, code=6)
-    assert "P.dat exists already with other content" in done.stderr
+    process = run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path, code=6)
+    assert "P.dat exists already with other content" in process.stderr
     assert edited.read_bytes() == content
 
 
@@ -184,20 +184,20 @@ def test_runs_that_cannot_be_exported(
     planned: Path, run_cell: RunCommand, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
     """A missing, unfinished or damaged run and a run without motion have exit code 6 with the cause."""
-    done = run_cell("export", "nowhere", cwd=tmp_path)
-    assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
+    process = run_cell("export", "nowhere", cwd=tmp_path)
+    assert (process.returncode, "the run folder nowhere does not exist" in process.stderr) == (6, True)
 
     unfinished = Path(shutil.copytree(planned, tmp_path / "unfinished.part"))
     manifest = json.loads((unfinished / "manifest.json").read_text())
     changed = manifest | {"status": "failed", "stage": "reach", "reason": "none is reachable"}
     (unfinished / "manifest.json").write_text(json.dumps(changed))
-    done = run_cell("export", str(unfinished), cwd=tmp_path, code=6)
-    assert "has no finished plan: the run failed in the stage 'reach': none is reachable" in done.stderr
+    process = run_cell("export", str(unfinished), cwd=tmp_path, code=6)
+    assert "has no finished plan: the run failed in the stage 'reach': none is reachable" in process.stderr
 
     damaged = Path(shutil.copytree(planned, tmp_path / "damaged"))
     (damaged / "motion.npz").write_bytes(b"PK")
-    done = run_cell("export", str(damaged), cwd=tmp_path, code=6)
-    assert "is not the file that the run wrote" in done.stderr
+    process = run_cell("export", str(damaged), cwd=tmp_path, code=6)
+    assert "is not the file that the run wrote" in process.stderr
 
     still = Path(shutil.copytree(planned, tmp_path / "still"))
     with np.load(still / "motion.npz") as stored:
@@ -206,8 +206,8 @@ def test_runs_that_cannot_be_exported(
         arrays[name] = arrays[name][:1]
     np.savez_compressed(still / "motion.npz", **arrays)
     resealed(still)
-    done = run_cell("export", str(still), cwd=tmp_path, code=6)
-    assert "has no motion" in done.stderr
+    process = run_cell("export", str(still), cwd=tmp_path, code=6)
+    assert "has no motion" in process.stderr
     assert not (still / "export").exists()
 
 

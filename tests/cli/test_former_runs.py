@@ -67,8 +67,8 @@ def test_it_is_scanned_exported_and_replayed(
         ("export", run, "--format", "csv", "--name", "FORMER", "--out", "of-former"),
         ("export", present, "--format", "csv", "--name", "FORMER", "--out", "of-present"),
     ):
-        done = run_cell(*map(str, arguments), cwd=run.parent)
-        assert done.returncode == 0, done.stderr
+        process = run_cell(*map(str, arguments), cwd=run.parent)
+        assert process.returncode == 0, process.stderr
     assert (run.parent / "t.png").stat().st_size > 1000
     folders = [folder / "executions" / name for folder, name in ((run, "0002"), (present, "0001"))]
     assert json.loads((folders[0] / "manifest.json").read_text())["schema"] == "scan-cell/run/3"

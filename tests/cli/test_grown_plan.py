@@ -83,10 +83,10 @@ def test_views_that_moved_are_candidates_like_others(
     areas, entries = M.samples.areas, M.matrix().tocsc()
     coverable, covered = (areas[entries[:, which].sum(axis=1) > 0].sum() for which in (reached.reachable, ids))
     assert covered >= plan_file["coverage"]["target_on_samples"] * coverable * (1 - 1e-9)
-    done = run_cell("edit", "run", "--turn", "1:30", "--out", "edited", cwd=tmp_path)
-    assert done.returncode in (0, 3), done.stderr
-    done = run_cell("scan", "run", "--view", "1", cwd=tmp_path)
-    assert done.returncode in (0, 3), done.stderr
+    process = run_cell("edit", "run", "--turn", "1:30", "--out", "edited", cwd=tmp_path)
+    assert process.returncode in (0, 3), process.stderr
+    process = run_cell("scan", "run", "--view", "1", cwd=tmp_path)
+    assert process.returncode in (0, 3), process.stderr
 
 
 def test_pinned_and_banned_candidates_hold_after_the_pose_search(

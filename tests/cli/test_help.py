@@ -38,8 +38,8 @@ def test_the_help_shows_every_word_in_brackets(words: tuple[str, ...], tmp_path:
         for word in re.findall(r"\[[^\s\]]*\]+", source.replace("\\[", "["))
         if word not in ("[bold]", "[/bold]")
     }
-    shown = "".join(run_cell(*words, "--help", cwd=tmp_path, code=0).stdout.replace("│", "").split())
-    assert [word for word in expected if word not in shown] == []
+    page = "".join(run_cell(*words, "--help", cwd=tmp_path, code=0).stdout.replace("│", "").split())
+    assert [word for word in expected if word not in page] == []
 
 
 def test_words_in_brackets_are_tested() -> None:

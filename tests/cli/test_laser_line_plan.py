@@ -87,7 +87,7 @@ def test_sweeps_are_executed_and_exported(swept: Path, run_cell: RunCommand, tmp
     import shutil
 
     run = Path(shutil.copytree(swept, tmp_path / "run"))
-    done = run_cell("scan", str(run), "--view", "2", "--json", cwd=tmp_path, code=0)
+    process = run_cell("scan", str(run), "--view", "2", "--json", cwd=tmp_path, code=0)
     view = json.loads((run / "plan.json").read_text())["views"][1]
     with np.load(run / "executions" / "0001" / "scans" / "0002.npz") as scan:
         np.testing.assert_allclose(scan["sweep_T_object_scanner"], view["sweep"]["T_object_scanner"], atol=1e-9)
@@ -96,14 +96,14 @@ def test_sweeps_are_executed_and_exported(swept: Path, run_cell: RunCommand, tmp
         assert scan["grid_shape"].tolist() == [5 * 20 * 160, 1]  # a line every 0.25 deg: 20 in a cell of 4.8 deg
         assert len(scan["codes"]) == 5 * 20 * 160
         assert len(scan["points"]) == len(scan["pixel"]) == (scan["codes"] == 0).sum() > 0
-    assert json.loads(done.stdout)["coverage"]["visible"] == pytest.approx(
-        json.loads(done.stdout)["coverage"]["predicted"], abs=1e-4
+    assert json.loads(process.stdout)["coverage"]["visible"] == pytest.approx(
+        json.loads(process.stdout)["coverage"]["predicted"], abs=1e-4
     )
     driven = np.load(run / "executions" / "0001" / "motion.npz")
     np.testing.assert_array_equal(driven["via_q"][0], driven["via_q"][-1])
     assert (driven["pose"] >= 0).sum() == 5
-    done = run_cell("export", str(run), "--json", cwd=tmp_path, code=2)
-    assert "the sweep of view 1 turns by 24.000 deg, and a LIN of KRL may turn differently" in done.stderr
+    process = run_cell("export", str(run), "--json", cwd=tmp_path, code=2)
+    assert "the sweep of view 1 turns by 24.000 deg, and a LIN of KRL may turn differently" in process.stderr
     assert not (run / "export").exists()
     assert run_cell("export", str(run), "--format", "csv", cwd=tmp_path).returncode == 0
 
@@ -111,14 +111,14 @@ def test_sweeps_are_executed_and_exported(swept: Path, run_cell: RunCommand, tmp
 def test_a_sensor_is_chosen_by_name(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """Missing figures end the command. With them, the standoff is the middle of the sensor's range."""
     arguments = ("plan", str(part_file), *_OPTIONS, "--sensor", "gocator-2330", "--out", "run", "--json")
-    done = run_cell(*arguments, cwd=tmp_path, code=2)
-    assert "gocator-2330 does not state its baseline; set scanner.baseline_mm" in done.stderr
+    process = run_cell(*arguments, cwd=tmp_path, code=2)
+    assert "gocator-2330 does not state its baseline; set scanner.baseline_mm" in process.stderr
     assert not (tmp_path / "run").exists()
-    done = run_cell(*arguments, "--baseline", "60", "--faces", "12", "--coverage", "0.3", cwd=tmp_path, code=0)
-    settings = json.loads(done.stdout)["settings"]
+    process = run_cell(*arguments, "--baseline", "60", "--faces", "12", "--coverage", "0.3", cwd=tmp_path, code=0)
+    settings = json.loads(process.stdout)["settings"]
     assert settings["sensor"] == "gocator-2330"
     assert settings["standoffs_mm"] == pytest.approx([138.947368], abs=1e-5)
-    assert "its body is not stated; set housing.size_mm" in done.stderr
+    assert "its body is not stated; set housing.size_mm" in process.stderr
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
     assert resolved["scanner"]["type"] == "laser-line"
     assert resolved["scanner"]["fan_deg"] == pytest.approx(26.7204, abs=1e-4)
@@ -126,8 +126,8 @@ def test_a_sensor_is_chosen_by_name(run_cell: RunCommand, part_file: Path, tmp_p
 
 def test_cell_sensors_lists_the_library(run_cell: RunCommand, tmp_path: Path) -> None:
     """The output is a table, or one JSON object with the sources and the figures that the user must give."""
-    done = run_cell("sensors", cwd=tmp_path, code=0)
-    assert "gocator-2350" in done.stdout
+    process = run_cell("sensors", cwd=tmp_path, code=0)
+    assert "gocator-2350" in process.stdout
     listed = json.loads(run_cell("sensors", "--json", cwd=tmp_path).stdout)["sensors"]
     assert {sensor["name"] for sensor in listed} >= {"gocator-2330", "keyence-lj-v7200", "generic-area-small", "paper"}
     for sensor in listed:
@@ -137,8 +137,10 @@ def test_cell_sensors_lists_the_library(run_cell: RunCommand, tmp_path: Path) ->
 
 def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: RunCommand) -> None:
     """The error is one sentence about the option."""
-    done = run_cell("scan", "run", "--resolution", "1", cwd=swept.parent, code=2)
-    assert done.stderr.startswith("cell: --resolution is the angle between rays, and the scanner laser-line has none")
+    process = run_cell("scan", "run", "--resolution", "1", cwd=swept.parent, code=2)
+    assert process.stderr.startswith(
+        "cell: --resolution is the angle between rays, and the scanner laser-line has none"
+    )
     assert not (swept / "executions").exists()
 
 
@@ -150,8 +152,8 @@ def test_sweeps_can_be_edited(swept: Path, run_cell: RunCommand, tmp_path: Path)
     assert json.loads((tmp_path / "same" / "plan.json").read_text())["views"] == before
     order = [*range(len(before), 1, -1)]
     options = ("--drop", "1", "--turn", "2:180", "--order", ",".join(map(str, order)), "--out", "edited", "--json")
-    done = run_cell("edit", swept, *options, cwd=tmp_path)
-    assert (done.returncode, "less than the requested 70 %" in done.stderr) == (3, True), done.stderr
+    process = run_cell("edit", swept, *options, cwd=tmp_path)
+    assert (process.returncode, "less than the requested 70 %" in process.stderr) == (3, True), process.stderr
     after = json.loads((tmp_path / "edited" / "plan.json").read_text())["views"]
     assert [view["id"] for view in after][:-1] == [before[number - 1]["id"] for number in order[:-1]]
     candidates = np.load(tmp_path / "edited" / "viewpoints.npz")["T_object_scanner"]

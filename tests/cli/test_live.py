@@ -79,8 +79,8 @@ def served(
     """Serve a copy of the small plan."""
     folder = tmp_path_factory.mktemp("live")
     shutil.copytree(planned, folder / "run")
-    with _served(scene, folder / "states", folder / "run") as made:
-        yield made
+    with _served(scene, folder / "states", folder / "run") as server:
+        yield server
 
 
 @contextmanager

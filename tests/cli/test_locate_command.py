@@ -44,18 +44,18 @@ def test_one_scan_finds_the_part_and_the_plan_is_taken_there(
     T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
     np.savetxt(tmp_path / "scan_0001.xyz", 1000 * _scanned(run, T, 1), fmt="%.6f")
     output = ("--points", tmp_path, "--points-frame", "scanner", "--points-units", "mm")
-    done = run_cell("locate", planned, *output, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
-    assert done.returncode in (0, 3), done.stderr
-    found = json.loads(done.stdout)
+    process = run_cell("locate", planned, *output, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
+    assert process.returncode in (0, 3), process.stderr
+    found = json.loads(process.stdout)
     off = np.array(found["T_base_object"]) @ np.linalg.inv(T)
     corners = run.reference.vertices @ T[:3, :3].T + T[:3, 3]
     assert np.linalg.norm(corners @ off[:3, :3].T + off[:3, 3] - corners, axis=1).max() < 5e-5
     assert found["displacement_mm"] == pytest.approx(15.13, abs=0.1)
     assert found["free_motions"] == []
     there = open_run(tmp_path / "there")
-    kept = [candidate for candidate in run.candidate.tolist() if candidate in there.candidate.tolist()]
-    assert len(kept) > len(run.candidate) / 2
-    for candidate in kept:
+    remaining = [candidate for candidate in run.candidate.tolist() if candidate in there.candidate.tolist()]
+    assert len(remaining) > len(run.candidate) / 2
+    for candidate in remaining:
         one, other = (each.T_object_scanner[each.candidate.tolist().index(candidate)] for each in (run, there))
         np.testing.assert_allclose(one, other, atol=2e-5)
     np.testing.assert_allclose(there.T_base_object, found["T_base_object"], atol=1e-9)
@@ -163,8 +163,8 @@ def test_pairs_on_a_line_are_refused(run_cell: RunCommand, planned: Path, tmp_pa
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
     options = _pairs(open_run(planned), nominal, tmp_path / "line.txt")
     for out in ((), ("--out", tmp_path / "there")):
-        done = run_cell("locate", planned, *options, *out, cwd=tmp_path, code=2)
-        assert "the nominal points lie on a line, and any rotation about it fits as well" in done.stderr
+        process = run_cell("locate", planned, *options, *out, cwd=tmp_path, code=2)
+        assert "the nominal points lie on a line, and any rotation about it fits as well" in process.stderr
     assert not list(tmp_path.glob("there*"))
 
 
@@ -175,12 +175,12 @@ def test_an_undetermined_placement_is_refused_and_its_next_command_is_not(
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 4)[:, None] * [0, 0, 1]
     nominal[1, 0] += 0.0005
     options = (*_pairs(open_run(planned), nominal, tmp_path / "near.txt"), "--point-sd", "0.05")
-    done = run_cell("locate", planned, *options, "--out", tmp_path / "there", cwd=tmp_path, code=2)
-    assert "turning about" in done.stderr
+    process = run_cell("locate", planned, *options, "--out", tmp_path / "there", cwd=tmp_path, code=2)
+    assert "turning about" in process.stderr
     assert not list(tmp_path.glob("there*"))
     (tmp_path / "sim_runs" / "there").mkdir(parents=True)
-    done = run_cell("locate", planned, *options, cwd=tmp_path, code=0)
-    (line,) = [line for line in done.stdout.splitlines() if line.strip().startswith("cell locate")]
+    process = run_cell("locate", planned, *options, cwd=tmp_path, code=0)
+    (line,) = [line for line in process.stdout.splitlines() if line.strip().startswith("cell locate")]
     assert "--keep-planned" in line
     run_cell(*shlex.split(line)[1:], cwd=tmp_path, code=0)
     assert open_run(tmp_path / "sim_runs" / "there-2").report.n_views == open_run(planned).report.n_views

@@ -14,10 +14,10 @@ from tests.support.fixture_types import RunCommand
 def test_a_step_file_is_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -> None:
     """The seven faces and the diameter of the bore are listed. Files are reproducible, and the page has the faces."""
     (tmp_path / "block.stp").write_text(bored_block())
-    done = run_cell("part", "block.stp", "--out", "drawn", cwd=tmp_path, code=0)
-    assert "7: 6 plane, 1 cylinder" in done.stdout
-    assert "diameter 16 mm" in done.stdout
-    assert "cell plan block.stp" in done.stdout
+    process = run_cell("part", "block.stp", "--out", "drawn", cwd=tmp_path, code=0)
+    assert "7: 6 plane, 1 cylinder" in process.stdout
+    assert "diameter 16 mm" in process.stdout
+    assert "cell plan block.stp" in process.stdout
     message = json.loads(run_cell("part", "block.stp", "--json", "--out", "again", cwd=tmp_path).stdout)
     assert message["kinds"] == {"plane": 6, "cylinder": 1}
     assert [face["diameter_mm"] for face in message["faces"] if face["kind"] == "cylinder"] == [16.0]

@@ -59,12 +59,12 @@ def test_a_coverage_is_kept_where_the_samples_were_too_few(
     part_file: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """With few faces, one sample each and 99.9 %, samples are added where the plan fails, also in the matrix."""
-    done = run_cell(
+    process = run_cell(
         "plan", str(part_file), "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "1",
         "--standoff", "250", "--coverage", "0.999", "--json", "--out", "run", cwd=tmp_path,
     )  # fmt: skip
-    report = json.loads(done.stdout)
-    assert done.returncode == 0, done.stderr
+    report = json.loads(process.stdout)
+    assert process.returncode == 0, process.stderr
     assert report["coverage"]["visible_of_coverable"] >= 0.999
     with np.load(tmp_path / "run" / "measurability.npz") as stored:
         assert stored["shape"][0] == report["n_samples"] > 40
@@ -128,31 +128,31 @@ def test_bad_input_gets_one_sentence_and_its_code(
     (tmp_path / "blind.toml").write_text("[housing]\nposition_mm = [0, 0, 100]\n")
     (tmp_path / "taken").mkdir()
     quick = ("--faces", "60") if "--faces" not in arguments else ()
-    done = run_cell(
+    process = run_cell(
         *(str(part_file) if word == "PART" else word for word in arguments), *quick, *_QUICK, cwd=tmp_path, code=code
     )
-    assert "Traceback" not in done.stderr
-    assert words in done.stderr
-    assert done.stdout == ""
+    assert "Traceback" not in process.stderr
+    assert words in process.stderr
+    assert process.stdout == ""
 
 
 def test_a_failed_run_keeps_its_folder_with_status_and_stage(
     part_file: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """If nothing is reachable, the folder stays as .part. Manifest and JSON object have the status and the reason."""
-    done = run_cell(
+    process = run_cell(
         "plan", str(part_file), "--units", "mm", "--place", "9000,0,0", "--faces", "60", *_QUICK, "--out", "far",
         "--json", cwd=tmp_path,
     )  # fmt: skip
-    answer = json.loads(done.stdout)
-    assert (done.returncode, answer["exit_code"], answer["status"]) == (4, 4, "failed")
+    answer = json.loads(process.stdout)
+    assert (process.returncode, answer["exit_code"], answer["status"]) == (4, 4, "failed")
     assert "reachable" in answer["reason"]
-    assert "--place" in done.stderr
-    kept = tmp_path / "far.part"
-    manifest = json.loads((kept / "manifest.json").read_text())
+    assert "--place" in process.stderr
+    folder = tmp_path / "far.part"
+    manifest = json.loads((folder / "manifest.json").read_text())
     assert (manifest["status"], manifest["stage"], manifest["exit_code"]) == ("failed", "reach", 4)
     assert "out of the arm's reach" in manifest["reason"]
-    assert (kept / "reach.npz").exists()
+    assert (folder / "reach.npz").exists()
     assert not (tmp_path / "far").exists()
 
 
@@ -171,9 +171,9 @@ def test_a_negative_placement_is_not_taken_for_an_option(
 ) -> None:
     """`--place -1100,400,100` is read as a placement behind the robot."""
     arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *small_plan[2:])
-    done = run_cell(*arguments, "--faces", "24", "--out", "run", cwd=tmp_path)
-    assert done.returncode in (0, 4), done.stderr
-    folder = tmp_path / ("run" if done.returncode == 0 else "run.part")
+    process = run_cell(*arguments, "--faces", "24", "--out", "run", cwd=tmp_path)
+    assert process.returncode in (0, 4), process.stderr
+    folder = tmp_path / ("run" if process.returncode == 0 else "run.part")
     T = np.array(json.loads((folder / "scene.resolved.json").read_text())["T_base_object"])
     centre = np.array(json.loads((folder / "scene.resolved.json").read_text())["T_object_centre"])
     np.testing.assert_allclose((T @ centre)[:3, 3], [-1.1, 0.4, 0.1], atol=1e-9)
@@ -210,8 +210,8 @@ def test_ctrl_c_in_any_stage_keeps_the_finished_files(
     assert process.returncode == 130, errors
     assert f"stopped by Ctrl-C; finished results are kept in {Path('run.part')}" in errors
     assert "Traceback" not in errors
-    kept = json.loads(manifest.read_text())
-    assert (kept["status"], kept["exit_code"]) == ("interrupted", 130)
+    content = json.loads(manifest.read_text())
+    assert (content["status"], content["exit_code"]) == ("interrupted", 130)
     assert (tmp_path / "run.part" / "reference.ply").exists()
 
 
@@ -261,7 +261,7 @@ def test_no_write_permission_is_reported_before_any_computation(
 ) -> None:
     """A run folder below a plain file is refused with exit code 6."""
     (tmp_path / "file").write_text("")
-    done = run_cell(
+    process = run_cell(
         "plan", str(part_file), "--units", "mm", "--out", "file/run", "--place", "1100,400,100", cwd=tmp_path, code=6
     )
-    assert "writable --out" in done.stderr
+    assert "writable --out" in process.stderr

@@ -25,9 +25,9 @@ def _no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cell.view.view_command.open_browser", lambda path: path.is_file())
 
 
-def printed(done: "CompletedProcess[str]") -> list[list[str]]:
+def printed_commands(process: "CompletedProcess[str]") -> list[list[str]]:
     """Return the commands on the lines after `next:` of both outputs, and those of a numbered list."""
-    lines = [line for text in (done.stdout, done.stderr) for line in text.splitlines()]
+    lines = [line for text in (process.stdout, process.stderr) for line in text.splitlines()]
     return [shlex.split(found[1]) for line in lines if (found := re.match(r"(?:  |\d+: )(cell \S.*)$", line))]
 
 
@@ -48,13 +48,13 @@ class Follower:
         self._run_cell, self._cwd, self._more = run_cell, cwd, tuple(more)
         self.names: list[str] = []
 
-    def follow(self, done: "CompletedProcess[str]", depth: int = 1) -> None:
+    def follow(self, process: "CompletedProcess[str]", depth: int = 1) -> None:
         """Run the printed commands of an output, and those that they print, to a depth."""
-        commands = printed(done)
-        assert commands, done.stdout + done.stderr
+        commands = printed_commands(process)
+        assert commands, process.stdout + process.stderr
         for words in commands:
             after = self._execute(words)
-            if depth > 1 and printed(after):
+            if depth > 1 and printed_commands(after):
                 self.follow(after, depth - 1)
 
     def _execute(self, words: list[str]) -> "CompletedProcess[str]":
@@ -65,28 +65,28 @@ class Follower:
         before = {*cwd.rglob("plan.json"), *cwd.rglob("setups.json"), *cwd.rglob("cloud.ply"), *cwd.rglob("export/*")}
         shutil.rmtree(cwd / arguments[0] / "why", ignore_errors=True) if name == "why" else None
         more = self._more if name == "plan" else ()
-        done = self._run_cell(*words[1:], *more, cwd=cwd)
+        process = self._run_cell(*words[1:], *more, cwd=cwd)
         allowed = FINISHED if name in ("plan", "edit", "setups", "scan") else (0,)
-        if name == "replay" and done.returncode == 2:
-            assert "display" in done.stderr, done.stderr
-            return done
-        assert done.returncode in allowed, (words, done.returncode, done.stderr)
+        if name == "replay" and process.returncode == 2:
+            assert "display" in process.stderr, process.stderr
+            return process
+        assert process.returncode in allowed, (words, process.returncode, process.stderr)
         if name in ("plan", "edit") or (name == "locate" and "--out" in arguments):
-            (made,) = _new_folders(cwd, before, "plan.json")
-            open_run(made)
+            (folder,) = _new_folders(cwd, before, "plan.json")
+            open_run(folder)
         if name == "setups":
             assert _new_folders(cwd, before, "setups.json")
         if name == "scan":
-            assert _new_folders(cwd, before, "cloud.ply"), done.stdout
+            assert _new_folders(cwd, before, "cloud.ply"), process.stdout
         if name == "why" and "--advise" not in arguments:
             assert (cwd / arguments[0] / "why" / "why.json").is_file()
         if name == "export":
             assert [path for path in (cwd / arguments[0] / "export").iterdir() if path not in before or path.is_file()]
         if name == "view":
-            pages = [line for line in done.stdout.splitlines() if line.endswith(".html")]
+            pages = [line for line in process.stdout.splitlines() if line.endswith(".html")]
             assert pages
             assert all((cwd / page).is_file() for page in pages)
-        return done
+        return process
 
 
 SMALL = ("--faces", "40", "--samples", "2", "--standoff", "250", "--candidates", "optimal-scanning-zone")
@@ -94,9 +94,9 @@ SMALL += ("--place", "1100,400,100", "--coverage", "0.8", "--sensor", "paper")
 
 
 def _plan(run_cell: RunCommand, part_file: Path, cwd: Path, *options: object) -> "CompletedProcess[str]":
-    done = run_cell("plan", part_file, "--units", "mm", *SMALL, *options, "--out", "run", cwd=cwd)
-    assert done.returncode in FINISHED, done.stderr
-    return done
+    process = run_cell("plan", part_file, "--units", "mm", *SMALL, *options, "--out", "run", cwd=cwd)
+    assert process.returncode in FINISHED, process.stderr
+    return process
 
 
 def test_after_a_plan(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
@@ -109,10 +109,10 @@ def test_after_a_plan(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> 
 def test_after_edits(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """A dropped view is repaired, compared and scanned; the edited plan prints its digest."""
     _plan(run_cell, part_file, tmp_path)
-    done = run_cell("edit", "run", "--drop", "1", "--out", "less", cwd=tmp_path)
-    assert open_run(tmp_path / "less").digest[:SHORT_DIGEST] in done.stdout
+    process = run_cell("edit", "run", "--drop", "1", "--out", "less", cwd=tmp_path)
+    assert open_run(tmp_path / "less").digest[:SHORT_DIGEST] in process.stdout
     follower = Follower(run_cell, tmp_path)
-    follower.follow(done)
+    follower.follow(process)
     assert {"scan", "edit", "diff"} <= set(follower.names)
 
 
@@ -120,10 +120,10 @@ def test_after_edits(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> N
 def test_after_a_plan_of_a_number_of_views(n_views: int, run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """Without a requested coverage no repair is proposed, and the only view is not dropped."""
     options = [word for word in SMALL if word not in ("--coverage", "0.8")]
-    done = run_cell(
+    process = run_cell(
         "plan", part_file, "--units", "mm", *options, "--max-views", n_views, "--out", "run", cwd=tmp_path, code=0
     )
-    assert "--repair" not in done.stdout
+    assert "--repair" not in process.stdout
     page = (tmp_path / "run" / "view.html").read_text()
     assert "--repair" not in page
     follower = Follower(run_cell, tmp_path)
@@ -135,14 +135,14 @@ def test_after_a_plan_of_another_arm(run_cell: RunCommand, part_file: Path, tmp_
     """KRL is for KUKA's axes, so that a table is proposed for another arm."""
     path = written(tmp_path, urdf())
     (tmp_path / "cell.toml").write_text(f'[robot]\nmodel = "{path}"\n')
-    done = run_cell(
+    process = run_cell(
         "plan", part_file, "--units", "mm", *SMALL[:-6], "--place", "600,200,100", "--sensor", "paper", "--coverage",
         "0.2", "--scene", "cell.toml", "--out", "run", cwd=tmp_path,
     )  # fmt: skip
-    assert done.returncode in FINISHED, done.stderr
+    assert process.returncode in FINISHED, process.stderr
     follower = Follower(run_cell, tmp_path)
-    follower.follow(done)
-    assert ["cell", "export", "run", "--format", "csv"] in printed(done)
+    follower.follow(process)
+    assert ["cell", "export", "run", "--format", "csv"] in printed_commands(process)
     assert "cell export RUN --format csv" in (tmp_path / "run" / "view.html").read_text()
 
 
@@ -170,16 +170,16 @@ def test_after_set_ups(made_setups: Path, run_cell: RunCommand, tmp_path: Path) 
 def test_a_further_set_up_is_not_a_new_plan(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
     """For a rotated part `cell why` proposes a set-up in addition to the plan; the plan stays the first set-up."""
     _plan(run_cell, part_file, tmp_path)
-    done = run_cell("why", "run", "--advise", cwd=tmp_path, code=0)
-    commands = printed(done)
+    process = run_cell("why", "run", "--advise", cwd=tmp_path, code=0)
+    commands = printed_commands(process)
     further = [words for words in commands if words[:2] == ["cell", "setups"]]
     assert further
     for words in further:
         assert words[2:6] == ["--first", "run", "--proposals", "1"]
-    done = run_cell("why", "run", "--json", cwd=tmp_path, code=0)
-    assert not re.search(r'"setting": "--place', done.stdout)
-    made = run_cell(*further[0][1:], "--out", "both", cwd=tmp_path)
-    assert made.returncode in FINISHED, made.stderr
+    process = run_cell("why", "run", "--json", cwd=tmp_path, code=0)
+    assert not re.search(r'"setting": "--place', process.stdout)
+    setups_process = run_cell(*further[0][1:], "--out", "both", cwd=tmp_path)
+    assert setups_process.returncode in FINISHED, setups_process.stderr
     first = open_run(tmp_path / "both" / "setups" / "1")
     assert first.digest == open_run(tmp_path / "run").digest
 
@@ -189,11 +189,11 @@ def test_after_a_check(run_cell: RunCommand, part_file: Path, tmp_path: Path) ->
     """A valid scene is planned; after a problem it is checked again."""
     (tmp_path / "cell.toml").write_text("[placement]\nposition_mm = [1100, 400, 100]\n")
     part = ("--part", part_file, "--units", "mm")
-    done = run_cell("check", "cell.toml", *part, cwd=tmp_path, code=0)
-    Follower(run_cell, tmp_path, SMALL).follow(done)
+    process = run_cell("check", "cell.toml", *part, cwd=tmp_path, code=0)
+    Follower(run_cell, tmp_path, SMALL).follow(process)
     (tmp_path / "cell.toml").write_text("[placement]\nposition_mm = [0, 0, 700]\n")
-    done = run_cell("check", "cell.toml", *part, cwd=tmp_path, code=2)
-    (words,) = printed(done)
+    process = run_cell("check", "cell.toml", *part, cwd=tmp_path, code=2)
+    (words,) = printed_commands(process)
     assert run_cell(*words[1:], cwd=tmp_path).returncode == 2  # the same problem
 
 
@@ -202,7 +202,7 @@ def test_after_a_part_and_the_sensors(run_cell: RunCommand, part_file: Path, tmp
     """The proposed plans are complete; here they are made small."""
     follower = Follower(run_cell, tmp_path, SMALL)
     follower.follow(run_cell("part", part_file, "--units", "mm", "--out", "looked", cwd=tmp_path, code=0))
-    (words,) = printed(run_cell("sensors", cwd=tmp_path, code=0))
+    (words,) = printed_commands(run_cell("sensors", cwd=tmp_path, code=0))
     small = [word for word in SMALL if word not in ("--sensor", "paper", "--standoff", "250")]
     assert run_cell(*words[1:], *small, cwd=tmp_path).returncode in FINISHED
 
@@ -263,12 +263,12 @@ def test_examples_of_the_help_run(
     if any(word in example for word in ("--watch", "study-", "explore-", "execution", ":", "--add-candidate")):
         pytest.skip("needs another folder, a person, or views that this plan does not have")
     small = SMALL[:8] if words[0] == "plan" else ()
-    done = run_cell(*words, *small, cwd=tmp_path)
-    assert done.returncode in FINISHED, done.stderr
+    process = run_cell(*words, *small, cwd=tmp_path)
+    assert process.returncode in FINISHED, process.stderr
 
 
 def test_next_commands_are_lines_that_can_be_pasted(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A path with spaces is quoted, and a long command is not wrapped."""
     copy = Path(shutil.copytree(planned, tmp_path / ("a folder " + 60 * "x")))
-    done = run_cell("view", copy.name, cwd=tmp_path, code=0)
-    assert all(copy.name in words for words in printed(done))
+    process = run_cell("view", copy.name, cwd=tmp_path, code=0)
+    assert all(copy.name in words for words in printed_commands(process))

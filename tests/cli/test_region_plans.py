@@ -48,17 +48,17 @@ care = "no"
 
 @pytest.fixture(scope="session")
 def regions(
-    made_once: Callable[..., Path], run_cell: RunCommand, drawn: Callable[[], AbstractContextManager[None]]
+    made_once: Callable[..., Path], run_cell: RunCommand, drawing: Callable[[], AbstractContextManager[None]]
 ) -> Path:
     """Return a folder with a plan of a block with requirements for its top and for one of its sides."""
 
     def make(folder: Path) -> None:
         trimesh.creation.box((60.0, 60.0, 40.0)).export(folder / "block.stl")
         (folder / "scene.toml").write_text(_REGIONS)
-        with drawn():
-            done = run_cell("plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "run", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        assert "region top" in done.stdout
+        with drawing():
+            process = run_cell("plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "run", cwd=folder)
+        assert process.returncode == 0, process.stderr
+        assert "region top" in process.stdout
 
     return made_once("regions", make)
 
@@ -78,8 +78,8 @@ def test_each_region_meets_its_targets(regions: Path) -> None:
     assert side["visible_of_coverable"] >= 0.5
     assert top["visible_of_coverable"] >= 0.9
     run = open_run(regions / "run")
-    M, chosen = run.measurability, [view.id for view in run.plan.views]
-    loads = np.asarray(M.matrix().astype(int)[:, chosen].sum(axis=1)).ravel()
+    M, views = run.measurability, [view.id for view in run.plan.views]
+    loads = np.asarray(M.matrix().astype(int)[:, views].sum(axis=1)).ravel()
     available = np.asarray(M.matrix().sum(axis=1)).ravel()
     of_top = (M.samples.region == 0) & (available > 0)
     enough = (loads >= np.minimum(2, available))[of_top]
@@ -109,8 +109,8 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: RunComman
     shutil.copytree(regions / "run", run)
     why = json.loads(run_cell("why", run, "--samples", "3000", "--json", cwd=tmp_path).stdout)
     assert all("in top" in group["detail"] or "in side" in group["detail"] for group in why["groups"])
-    done = run_cell("edit", run, "--drop", 1, "--repair", "--out", "edited", cwd=tmp_path)
-    assert done.returncode in (0, 3), done.stderr
+    process = run_cell("edit", run, "--drop", 1, "--repair", "--out", "edited", cwd=tmp_path)
+    assert process.returncode in (0, 3), process.stderr
     edited = report_of(tmp_path / "edited")
     assert [region["name"] for region in edited["regions"]] == ["top", "side"]
     assert edited["regions"][1]["visible_of_coverable"] >= 0.5
@@ -140,10 +140,10 @@ def test_unattainable_limits_of_a_region_are_refused(
     shutil.copy(regions / "block.stl", tmp_path)
     text = _REGIONS.replace("max_spacing_mm = 0.6", limit).partition('[[region]]\nname = "side"')[0]
     (tmp_path / "scene.toml").write_text(text + '[[region]]\nname = "skin"\ncare = "no"\n')
-    done = run_cell(
+    process = run_cell(
         "plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "run", cwd=tmp_path, code=exit_code
     )
-    assert output in done.stderr.replace("\n", " ")
+    assert output in process.stderr.replace("\n", " ")
 
 
 def test_an_edit_meets_the_targets_of_regions_and_options(regions: Path, run_cell: RunCommand, tmp_path: Path) -> None:
@@ -159,11 +159,11 @@ def test_an_edit_meets_the_targets_of_regions_and_options(regions: Path, run_cel
     (tmp_path / "scene.toml").write_text(scene)
     place = ("--scene", "scene.toml", "--place", "1000,300,200")
     for name, options in (("weighted", ("--coverage", "0.9")), ("most", ("--max-views", "1"))):
-        done = run_cell("plan", *place, *options, "--out", name, cwd=tmp_path, code=0)
+        process = run_cell("plan", *place, *options, "--out", name, cwd=tmp_path, code=0)
         assert report_of(tmp_path / name)["coverage"]["visible_of_coverable"] < 0.9
         for before, after in ((name, f"{name}1"), (f"{name}1", f"{name}2")):
-            done = run_cell("edit", before, "--keep-order", "--out", after, cwd=tmp_path)
-            assert (done.returncode, "less than" in done.stderr) == (0, False), done.stderr
+            process = run_cell("edit", before, "--keep-order", "--out", after, cwd=tmp_path)
+            assert (process.returncode, "less than" in process.stderr) == (0, False), process.stderr
 
 
 def test_a_region_without_samples_is_reported(run_cell: RunCommand, tmp_path: Path) -> None:
@@ -172,11 +172,11 @@ def test_a_region_without_samples_is_reported(run_cell: RunCommand, tmp_path: Pa
     tiny = '[[region]]\nname = "tiny"\nbox_mm = [0, 0, 19, 0.1, 0.1, 21]\n'
     (tmp_path / "scene.toml").write_text(_REGIONS.split("[[region]]")[0] + tiny)
     options = ("--scene", "scene.toml", "--place", "1000,300,200", "--out")
-    done = run_cell("plan", *options, "run", cwd=tmp_path, code=3)
+    process = run_cell("plan", *options, "run", cwd=tmp_path, code=3)
     sentence = "the region 'tiny' cannot be measured: none of the 10,000 samples of the surface lies in its 0.01 mm2"
-    assert sentence in done.stderr
+    assert sentence in process.stderr
     tiny, rest = report_of(tmp_path / "run")["regions"]
     assert (tiny["name"], tiny["visible"], tiny["area_mm2"]) == ("tiny", 0.0, pytest.approx(0.01))
     assert rest["visible_of_coverable"] >= 0.9
-    done = run_cell("setups", *options, "both", "--proposals", "1", cwd=tmp_path, code=3)
-    assert sentence in done.stderr
+    process = run_cell("setups", *options, "both", "--proposals", "1", cwd=tmp_path, code=3)
+    assert sentence in process.stderr

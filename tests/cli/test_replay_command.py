@@ -150,12 +150,12 @@ def test_the_arm_is_drawn_at_its_planned_poses(planned: Path, playback: Playback
         middle = (view.T_base_flange @ T_flange_housing)[:3, 3]
         column, row = _project(camera, fovy, middle[None])[0].astype(int)
         seen += int(numbers[row, column] == housing)
-        shown = np.argwhere(numbers == housing)
-        if len(shown):  # each point of it is within half its diagonal, 95 mm, of its middle
+        pixels = np.argwhere(numbers == housing)
+        if len(pixels):  # each point of it is within half its diagonal, 95 mm, of its middle
             edge = np.abs(
                 _project(camera, fovy, middle + 0.095 * np.concatenate([np.eye(3), -np.eye(3)])) - [column, row]
             )
-            assert np.linalg.norm(shown - [row, column], axis=1).max() < 1.5 * edge.max() + 2
+            assert np.linalg.norm(pixels - [row, column], axis=1).max() < 1.5 * edge.max() + 2
     assert seen > len(views) / 2
     assert all(picture.sum() > 2000 for picture in pictures)
     for one, other in itertools.pairwise(pictures):
@@ -219,10 +219,10 @@ def test_frames_through_the_command_line(
     """Frames are numbered PNGs of the requested size and need no OpenGL. A folder with frames is an error."""
     monkeypatch.setenv("MUJOCO_GL", "off")
     arguments = ("replay", str(planned), "--frames", "film", "--fps", "0.3", "--size", "320x240")
-    done = run_cell(*arguments, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
+    process = run_cell(*arguments, cwd=tmp_path)
+    assert (process.returncode, process.stderr) == (0, f"next:\n  cell scan {planned}\n")
     frames = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "film").glob("frame_*.png"))]
-    assert f"{len(frames)} frames in film" in done.stdout
+    assert f"{len(frames)} frames in film" in process.stdout
     assert len(frames) > 2
     assert {frame.shape for frame in frames} == {(240, 320, 3)}
     assert all(_orange(frame).sum() > 800 for frame in frames)
@@ -237,19 +237,19 @@ def test_a_picture_needs_no_opengl_and_hides_named_pieces(
     """Without EGL and OSMesa pictures are reproducible. `--hide` and `--camera` change the picture."""
     monkeypatch.setenv("MUJOCO_GL", "off")
 
-    def drawn(*options: str) -> NDArray[np.uint8]:
-        done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", *options, cwd=tmp_path)
-        assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
+    def picture(*options: str) -> NDArray[np.uint8]:
+        process = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", *options, cwd=tmp_path)
+        assert (process.returncode, process.stderr) == (0, f"next:\n  cell scan {planned}\n")
         return np.asarray(Image.open(tmp_path / "p.png"))
 
-    first = drawn()
+    first = picture()
     assert _orange(first).sum() > 2000
-    np.testing.assert_array_equal(drawn(), first)
-    assert _orange(drawn("--hide", "robot")).sum() < 300
-    assert (drawn("--camera", "120,35") != first).any(axis=2).mean() > 0.3
+    np.testing.assert_array_equal(picture(), first)
+    assert _orange(picture("--hide", "robot")).sum() < 300
+    assert (picture("--camera", "120,35") != first).any(axis=2).mean() > 0.3
     for wrong, words in ((("--hide", "fence"), "it has: post, pedestal"), (("--camera", "up"), "azimuth,elevation")):
-        done = run_cell("replay", planned, "--picture", "x.png", *wrong, cwd=tmp_path)
-        assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+        process = run_cell("replay", planned, "--picture", "x.png", *wrong, cwd=tmp_path)
+        assert (process.returncode, words in process.stderr) == (2, True), process.stderr
 
 
 @draws
@@ -274,14 +274,14 @@ def test_an_execution_shows_its_points(
     np.testing.assert_allclose(executed.timeline.at(executed.timeline.stops[1].begin), run.plan.views[1].q + 1e-3)
     camera = _initial_camera(planned, playback)
     camera.distance *= 0.7  # the part is larger in the picture
-    drawn = OffScreen(executed.replay_model.model)
+    screen_of_execution = OffScreen(executed.replay_model.model)
     executed.pose(0.0)
-    part = _geoms(drawn, executed.data, camera) == executed.replay_model.model.geom("surface").id
-    bare = drawn.picture(executed.data, camera).astype(int)
-    with_points = drawn.picture(
+    part = _geoms(screen_of_execution, executed.data, camera) == executed.replay_model.model.geom("surface").id
+    bare = screen_of_execution.picture(executed.data, camera).astype(int)
+    with_points = screen_of_execution.picture(
         executed.data, camera, lambda scene: overlays.add_clouds(scene, executed.replay_model, [0, 1], 1, executed.data)
     ).astype(int)
-    drawn.renderer.close()
+    screen_of_execution.renderer.close()
     changed = np.argwhere((np.abs(with_points - bare) > 25).any(axis=2))
     assert len(changed) > 0.3 * part.sum()
     rows, columns = np.nonzero(part)
@@ -299,9 +299,9 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest |= {"status": "failed", "stage": "measurability", "reason": "the disk is full"}
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    done = run_cell("replay", "run.part", "--picture", "p.png", "--size", "480x360", cwd=tmp_path, code=0)
-    assert "failed in the stage 'measurability': the disk is full" in done.stderr
-    assert "candidate viewpoints" in done.stderr
+    process = run_cell("replay", "run.part", "--picture", "p.png", "--size", "480x360", cwd=tmp_path, code=0)
+    assert "failed in the stage 'measurability': the disk is full" in process.stderr
+    assert "candidate viewpoints" in process.stderr
     picture = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
     assert _orange(picture.astype(np.uint8)).sum() > 1000
     green = (picture[..., 1] > picture[..., 0] + 60) & (picture[..., 1] > picture[..., 2] + 20)
@@ -320,9 +320,9 @@ def test_without_a_display_the_message_names_the_alternatives(
     """The message names --frames and --picture; exit code 2."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    done = run_cell("replay", planned, cwd=tmp_path)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "--frames DIR or --picture" in done.stderr
+    process = run_cell("replay", planned, cwd=tmp_path)
+    assert (process.returncode, process.stderr.count("\n")) == (2, 1), process.stderr
+    assert "--frames DIR or --picture" in process.stderr
 
 
 _WATCH = """
@@ -362,14 +362,14 @@ print(json.dumps({"oranges": oranges, "columns": columns}))
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="the viewer needs a display: install xvfb")
 def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
     """On a virtual display with a simulated clock, the orange arm moves on the screen. `--once` ends the viewer."""
-    kept = {key: value for key, value in os.environ.items() if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
-    done = subprocess.run(
+    environment = {key: value for key, value in os.environ.items() if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    process = subprocess.run(
         ["xvfb-run", "-a", "-s", "-screen 0 1024x768x24", sys.executable, "-c", _WATCH, str(planned)],
-        env=kept, capture_output=True, text=True, timeout=120, check=False,
+        env=environment, capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    watched = json.loads(done.stdout.strip().splitlines()[-1])
-    drawn = [column for column, orange in zip(watched["columns"], watched["oranges"], strict=True) if orange > 2000]
-    assert len(drawn) > 4
-    settled = drawn[2:]  # the first pictures may have the default camera of the window
+    assert process.returncode == 0, process.stderr
+    watched = json.loads(process.stdout.strip().splitlines()[-1])
+    columns = [column for column, orange in zip(watched["columns"], watched["oranges"], strict=True) if orange > 2000]
+    assert len(columns) > 4
+    settled = columns[2:]  # the first pictures may have the default camera of the window
     assert max(settled) - min(settled) > 10

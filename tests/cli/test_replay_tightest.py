@@ -67,20 +67,20 @@ def test_both_points_and_their_line_are_in_the_picture(planned: Path, playback: 
     assert (np.abs(rows - _SIZE[1] / 2) < 40).all()
     assert (far > 0).all()
     write_picture(PictureInputs(playback, cell, part, ()), tmp_path / "p.png", _SIZE, tightest.time)
-    drawn = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
-    red = (drawn[..., 0] > drawn[..., 1] + 50) & (drawn[..., 0] > drawn[..., 2] + 50)
+    image = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
+    red = (image[..., 0] > image[..., 1] + 50) & (image[..., 0] > image[..., 2] + 50)
     assert red[_SIZE[1] // 2 - 40 : _SIZE[1] // 2 + 40, _SIZE[0] // 2 - 40 : _SIZE[0] // 2 + 40].sum() > 20
 
 
 def test_the_command_draws_the_tightest_moment(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """`--tightest --picture` differs from the picture of the tour. `--tightest` with `--view` is an error."""
-    done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
-    done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", cwd=tmp_path)
+    process = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
+    assert (process.returncode, process.stderr) == (0, f"next:\n  cell scan {planned}\n")
+    process = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", cwd=tmp_path)
     pictures = [np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("t.png", "p.png")]
     assert (np.abs(pictures[0] - pictures[1]) > 25).any(axis=2).mean() > 0.2
-    done = run_cell("replay", planned, "--tightest", "--view", "1", "--picture", "x.png", cwd=tmp_path, code=2)
-    assert "--tightest and view both set the start" in done.stderr
+    process = run_cell("replay", planned, "--tightest", "--view", "1", "--picture", "x.png", cwd=tmp_path, code=2)
+    assert "--tightest and view both set the start" in process.stderr
 
 
 def test_an_unknown_tightest_moment_is_an_error(planned: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ def ask(
     folder = tmp_path_factory.mktemp("requests")
 
     def run(name: str, *options: str, code: int = 0) -> tuple[Path, dict[str, Any]]:
-        done = run_cell(
+        process = run_cell(
             "plan",
             str(part_file),
             "--units",
@@ -35,7 +35,7 @@ def ask(
             cwd=folder,
             code=code,
         )
-        return folder / name, json.loads(done.stdout)
+        return folder / name, json.loads(process.stdout)
 
     return run
 
@@ -111,11 +111,14 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
     """The error names the candidate and its verdict. A candidate that does not exist is refused as well."""
     with np.load(planned / "reach.npz") as arrays:
         verdict = arrays["verdict"]
-    lost = int(np.flatnonzero(verdict != 0)[0])
-    for view, words in ((lost, f"plan.pinned names candidate {lost}, which is"), (10**6, "there are candidates 0 to")):
+    unreachable = int(np.flatnonzero(verdict != 0)[0])
+    for view, words in (
+        (unreachable, f"plan.pinned names candidate {unreachable}, which is"),
+        (10**6, "there are candidates 0 to"),
+    ):
         pin = ("--pin", str(view), "--out", f"run{view}")
-        done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path, code=2)
-        assert words in " ".join(done.stderr.split())
+        process = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path, code=2)
+        assert words in " ".join(process.stderr.split())
 
 
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:

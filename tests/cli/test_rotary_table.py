@@ -66,8 +66,8 @@ def test_views_are_taken_between_the_angles_that_were_looked_at(turned: Path) ->
     candidates = np.load(turned / "viewpoints.npz")["T_object_scanner"].reshape(-1, 4, 4)
     for view in plan["views"]:
         np.testing.assert_allclose(view["T_object_scanner"], candidates[view["id"]], atol=2e-5)
-        taken = np.radians([*view["q_deg"], *view["e_deg"]])
-        assert (np.abs(found.configurations_of(view["id"]) - taken).max(axis=1) < 1e-9).sum() == 1
+        q = np.radians([*view["q_deg"], *view["e_deg"]])
+        assert (np.abs(found.configurations_of(view["id"]) - q).max(axis=1) < 1e-9).sum() == 1
     assert any(view["e_deg"][0] % 10 for view in plan["views"])
 
 
@@ -82,13 +82,13 @@ def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
 
 def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
     """The duration follows from the limits of all seven axes. The table is at angle 0 at begin and end."""
-    done = open_run(turned).motion
-    times = move_time(done.via_q[:-1], done.via_q[1:], done.limits)
-    assert done.duration == pytest.approx(times.sum())
-    lower, upper = done.limits.lower, done.limits.upper
-    assert ((done.q >= lower - 1e-9) & (done.q <= upper + 1e-9)).all()
-    assert (np.abs(done.qd) <= done.limits.velocity + 1e-9).all()
-    assert (done.via_q[[0, -1], 6] == 0).all()
+    motion = open_run(turned).motion
+    times = move_time(motion.via_q[:-1], motion.via_q[1:], motion.limits)
+    assert motion.duration == pytest.approx(times.sum())
+    lower, upper = motion.limits.lower, motion.limits.upper
+    assert ((motion.q >= lower - 1e-9) & (motion.q <= upper + 1e-9)).all()
+    assert (np.abs(motion.qd) <= motion.limits.velocity + 1e-9).all()
+    assert (motion.via_q[[0, -1], 6] == 0).all()
 
 
 def test_the_plan_is_verified_and_a_changed_table_is_found(turned: Path, tmp_path: Path) -> None:
@@ -166,8 +166,8 @@ def test_an_endless_table_continues_from_its_present_turn(
     """The number of whole turns is reported and added to every angle, but not stored in scans. Results are equal."""
     copy = Path(shutil.copytree(turned, tmp_path / "run"))
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(open_run(copy).motion.via_q[0, :6]), 360.0 * turns])
-    done = run_cell("scan", copy, "--resolution", "1", "--driver", f"sim://?start={start}", cwd=tmp_path, code=0)
-    assert f"{turns:+d} whole turns from the plan's angles" in done.stderr
+    process = run_cell("scan", copy, "--resolution", "1", "--driver", f"sim://?start={start}", cwd=tmp_path, code=0)
+    assert f"{turns:+d} whole turns from the plan's angles" in process.stderr
     first, second = (copy / "executions" / name for name in ("0001", "0002"))
     for name in sorted(path.name for path in (first / "scans").iterdir()):
         before, after = np.load(first / "scans" / name), np.load(second / "scans" / name)
@@ -207,10 +207,10 @@ def test_the_page_puts_the_part_on_a_link_of_its_own(
 ) -> None:
     """The part turns with the last link of the chain, driven by the seventh angle."""
     run_cell("view", turned, "--out", tmp_path / "page.html", cwd=tmp_path, code=0)
-    shown = data_of((tmp_path / "page.html").read_text(encoding="utf-8"))
-    assert shown["part_link"] == len(shown["arm"]["parent"])
-    assert shown["arm"]["driver"][-1] == 6
-    assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["part_link"]} == {"post"}
+    data = data_of((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert data["part_link"] == len(data["arm"]["parent"])
+    assert data["arm"]["driver"][-1] == 6
+    assert {piece["name"] for piece in data["pieces"] if piece["link"] == data["part_link"]} == {"post"}
 
 
 def _share(run: Path) -> float:
@@ -272,8 +272,8 @@ def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
     position, abc = kuka_abc_from_pose(T)
     pose = ",".join(repr(float(number)) for number in [*(1000 * position), *np.degrees(abc)])
     angle = f"--table-angle={view['e_deg'][0]}"
-    done = run_cell("edit", turned, "--move", f"{stop}:{pose}", angle, "--out", "same", cwd=tmp_path)
-    assert done.returncode in (0, 3), done.stderr
+    process = run_cell("edit", turned, "--move", f"{stop}:{pose}", angle, "--out", "same", cwd=tmp_path)
+    assert process.returncode in (0, 3), process.stderr
     again = min(
         float(np.abs(np.array(each["T_object_scanner"]) - view["T_object_scanner"]).max())
         for each in _json(tmp_path / "same" / "plan.json")["views"]
@@ -378,9 +378,9 @@ def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCommand, part_fil
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\n')
     part = (part_file, "--units", "mm", "--table")
     for command in (("explore", *part), ("plan", *part, "--scene", "line.toml")):
-        done = run_cell(*command, cwd=tmp_path)
-        assert done.returncode == 2, (command, done.stderr)
-        assert "does not support a rotary table yet" in done.stderr
+        process = run_cell(*command, cwd=tmp_path)
+        assert process.returncode == 2, (command, process.stderr)
+        assert "does not support a rotary table yet" in process.stderr
 
 
 def test_an_indexed_table_is_planned_verified_and_resumed(

@@ -453,13 +453,13 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
         assert process.returncode == -signal.SIGKILL
         assert manifest["status"] == "running"
     there = len(list((folder / "scans").glob("*.npz")))
-    done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path, code=6)
-    summary = json.loads(done.stdout)
+    completed = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path, code=6)
+    summary = json.loads(completed.stdout)
     assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
     assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
-    assert "did not finish" in done.stderr
+    assert "did not finish" in completed.stderr
     output = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are scanned"
-    assert output in done.stderr
+    assert output in completed.stderr
     after = json.loads((folder / "manifest.json").read_text())
     ended = ("interrupted", 130) if how == signal.SIGINT else ("incomplete", None)
     assert (after["status"], after["exit_code"]) == ended
@@ -487,9 +487,9 @@ def test_bad_input_gets_one_sentence_and_its_code(
 ) -> None:
     """The error has no traceback, names the cause, and has the documented exit code."""
     (tmp_path / "run").symlink_to(executed)
-    done = run_cell(*arguments, cwd=tmp_path, code=code)
-    assert words in done.stderr
-    assert done.stdout == ""
+    completed = run_cell(*arguments, cwd=tmp_path, code=code)
+    assert words in completed.stderr
+    assert completed.stdout == ""
 
 
 def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> None:

@@ -34,14 +34,14 @@ def folder(made_setups: Path, tmp_path: Path) -> Path:
 
 def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: RunCommand) -> None:
     """A part 5 mm and 2 deg off is located to 0.05 mm and 0.02 deg. The report covers both set-ups."""
-    done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent, code=0)
-    first = json.loads(done.stdout)
+    process = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent, code=0)
+    first = json.loads(process.stdout)
     assert (first["missing_setups"], len(first["setups"]), first["common_surface"]) == ([2], 1, [])
     assert first["uncovered"]["not_scanned"] > 0.05
-    done = run_cell(
+    process = run_cell(
         "scan", "made", "--resume", "latest", cwd=folder.parent, code=0
     )  # set-up 2 has the options of set-up 1
-    assert "set-up 2 of 2: the part lies" in done.stderr
+    assert "set-up 2 of 2: the part lies" in process.stderr
     report = json.loads((folder / "scanned" / "report.json").read_text())
     assert report["missing_setups"] == []
     for setup in report["setups"]:
@@ -54,14 +54,14 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
     assert report["visible"] + sum(report["uncovered"].values()) == pytest.approx(1, abs=1e-9)
     assert report["visible"] == pytest.approx(report["planned"], abs=0.03)
     assert [pair["setups"] for pair in report["common_surface"]] == [[1, 2]]
-    done = run_cell("scan", "made", cwd=folder.parent, code=2)
-    assert "all 2 set-ups of made are scanned; --setup 1 scans one again" in done.stderr
+    process = run_cell("scan", "made", cwd=folder.parent, code=2)
+    assert "all 2 set-ups of made are scanned; --setup 1 scans one again" in process.stderr
 
 
 def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: RunCommand) -> None:
     """Without errors, the coverage is the union of the samples that the views measure and no support touches."""
-    done = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent, code=0)
-    report = json.loads(done.stdout)
+    process = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent, code=0)
+    report = json.loads(process.stdout)
     seen = []
     for setup in ("1", "2"):
         run = open_run(folder / "setups" / setup)
@@ -93,9 +93,9 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand,
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
-    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=folder.parent, code=0)
-    assert "views are scanned already" in done.stderr
-    report = json.loads(done.stdout)
+    completed = run_cell("scan", "made", "--resume", "latest", "--json", cwd=folder.parent, code=0)
+    assert "views are scanned already" in completed.stderr
+    report = json.loads(completed.stdout)
     assert report["missing_setups"] == []
     assert [setup["execution"] for setup in report["setups"]] == ["0001", "0001"]
     for number, setup in enumerate(report["setups"], start=1):
@@ -115,8 +115,8 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand,
 )
 def test_invalid_requests_are_refused(words: tuple[str, ...], message: str, folder: Path, run_cell: RunCommand) -> None:
     """Invalid options are refused with exit code 2, and nothing is scanned."""
-    done = run_cell("scan", *words, cwd=folder.parent, code=2)
-    assert message in done.stderr
+    process = run_cell("scan", *words, cwd=folder.parent, code=2)
+    assert message in process.stderr
     assert not (folder / "setups" / "1" / "executions").exists()
 
 
@@ -134,15 +134,17 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     shutil.rmtree(scans.parent)
     first = (points / "0001.xyz").rename(beside / "kept.xyz")
     files = ("--acquire", "files:points", "--points-frame", "scanner", "--points-units", "mm")
-    done = run_cell("scan", "made", *files, cwd=beside, code=6)
-    assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest scans them" in done.stderr
+    process = run_cell("scan", "made", *files, cwd=beside, code=6)
+    assert (
+        "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest scans them" in process.stderr
+    )
     assert not (folder / "setups" / "2" / "executions").exists()
     first.rename(points / "0001.xyz")
-    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside, code=0)
-    assert json.loads(done.stdout)["missing_setups"] == [2]
+    process = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside, code=0)
+    assert json.loads(process.stdout)["missing_setups"] == [2]
     assert not (folder / "setups" / "2" / "executions").exists()
-    done = run_cell("scan", "made", "--resume", "latest", cwd=beside, code=2)
-    assert "files:points has the points of set-up 1; run cell scan made --setup 2" in done.stderr
+    process = run_cell("scan", "made", "--resume", "latest", cwd=beside, code=2)
+    assert "files:points has the points of set-up 1; run cell scan made --setup 2" in process.stderr
 
 
 def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: RunCommand) -> None:
@@ -151,8 +153,8 @@ def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Pa
     run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside, code=0)
     manifest = folder / "setups" / "1" / "executions" / "0001" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"status": "finished"', '"status": "interrupted"'))
-    done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside, code=0)
-    report = json.loads(done.stdout)
+    process = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside, code=0)
+    report = json.loads(process.stdout)
     assert (report["missing_setups"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
 
 
@@ -173,8 +175,8 @@ def test_the_warning_about_a_displaced_part_is_repeated_when_resumed(folder: Pat
     (folder.parent / "none").mkdir()
     files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
     for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
-        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent, code=6)
-        assert "the part may be displaced by up to 50" in done.stderr
+        process = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent, code=6)
+        assert "the part may be displaced by up to 50" in process.stderr
 
 
 def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: RunCommand) -> None:
@@ -183,8 +185,8 @@ def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_c
     (setups / "1").rename(setups / "3")
     (setups / "2").rename(setups / "1")
     (setups / "3").rename(setups / "2")
-    done = run_cell("scan", "made", "--setup", "1", cwd=folder.parent, code=6)
-    assert "setups/1 is not the plan that setups.json names" in done.stderr
+    process = run_cell("scan", "made", "--setup", "1", cwd=folder.parent, code=6)
+    assert "setups/1 is not the plan that setups.json names" in process.stderr
     assert not (setups / "1" / "executions").exists()
 
 

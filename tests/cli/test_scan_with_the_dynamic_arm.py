@@ -44,9 +44,9 @@ def test_every_scan_is_taken_from_the_reported_pose(scanned: Path) -> None:
     T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
     kinematics = kinematics_of(load())
     ideal = scans(scanned, "0003")
-    taken = scans(scanned, "0001")
-    assert len(taken) == len(ideal) > 1
-    for scan, without in zip(taken, ideal, strict=True):
+    dynamic = scans(scanned, "0001")
+    assert len(dynamic) == len(ideal) > 1
+    for scan, without in zip(dynamic, ideal, strict=True):
         assert not (scan["q_reported"] == scan["q_commanded"]).all()
         poses = kinematics.forward(np.stack([scan["q_reported"], scan["q_commanded"]])) @ T_flange_scanner
         assert 1e-7 < np.linalg.norm(poses[0, :3, 3] - poses[1, :3, 3]) < 5.5e-5

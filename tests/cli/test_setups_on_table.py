@@ -34,22 +34,21 @@ coverage = 1.0
 
 @pytest.fixture(scope="module")
 def folder(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
-    """Return the set-ups of the small part on a table, chosen from three candidates. The file `said` has the output."""
+    """Return the set-ups of the small part on a table, chosen from three candidates."""
 
     def make(at: Path) -> None:
         (at / "cell.toml").write_text(SCENE.format(part=part_file))
-        done = run_cell("setups", "--scene", "cell.toml", "--proposals", "3", "--out", "made", cwd=at)
-        assert done.returncode == 0, done.stderr
-        (at / "said").write_text(done.stdout + done.stderr)
+        process = run_cell("setups", "--scene", "cell.toml", "--proposals", "3", "--out", "made", cwd=at)
+        assert process.returncode == 0, process.stderr
 
     return made_once("setups-on-table", make) / "made"
 
 
 def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> None:
     """Each run has layout 2 and a motion that is verified again. The place of the table is equal in all runs."""
-    made = SetupsRun.opened(folder)
+    run_of_setups = SetupsRun.opened(folder)
     tables = []
-    for run in made.folders:
+    for run in run_of_setups.folders:
         assert json.loads((run / "manifest.json").read_text())["schema"] == "scan-cell/run/3"
         stored = np.load(run / "motion.npz")
         assert (stored["via_q"].shape[1], stored["via_e"].shape[1]) == (6, 1)
@@ -58,9 +57,9 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
         tables.append(proven.world.table.T_base_table)
     for table in tables[1:]:
         np.testing.assert_array_equal(table, tables[0])
-    seen = [seen_samples(run) for run in made.folders]
-    assert made.file.coverage.visible == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
-    assert made.file.coverage.visible_of_coverable >= 0.9
+    seen = [seen_samples(run) for run in run_of_setups.folders]
+    assert run_of_setups.file.coverage.visible == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
+    assert run_of_setups.file.coverage.visible_of_coverable >= 0.9
 
 
 def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
@@ -74,11 +73,11 @@ def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
 def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A part 5 mm and 2 deg off is located in each set-up. The exported programs have E1."""
     shutil.copytree(folder, tmp_path / "made")
-    done = run_cell(
+    process = run_cell(
         "scan", "made", "--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1", "--json",
         cwd=tmp_path, code=0,
     )  # fmt: skip
-    scanned = json.loads(done.stdout)
+    scanned = json.loads(process.stdout)
     assert scanned["missing_setups"] == []
     assert scanned["visible"] == pytest.approx(scanned["planned"], abs=0.02)
     for setup in scanned["setups"]:
@@ -102,8 +101,8 @@ def test_set_ups_beyond_the_table_are_left_out(part_file: Path, run_cell: RunCom
         .replace("coverage = 1.0", "coverage = 0.5")
     )
     (tmp_path / "cell.toml").write_text(text + near + aside + wide)
-    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path, code=0)
+    process = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path, code=0)
     file = SetupsRun.opened(tmp_path / "made").file
     assert [bool(offer.cause) for offer in file.candidates] == [False, False, True]
     assert "swings through a circle of" in file.candidates[2].cause
-    assert "the set-up 'far off' is omitted: the part swings" in done.stderr
+    assert "the set-up 'far off' is omitted: the part swings" in process.stderr

@@ -19,8 +19,8 @@ def limited(
     """Return the small plan with a limit that its unlimited matrix exceeds."""
     folder = tmp_path_factory.mktemp("sigma")
     command = ("plan", str(part_file), "--units", "mm", *small_plan, "--max-sigma", "0.04", "--json", "--out", "run")
-    done = run_cell(*command, cwd=folder, code=0)
-    return {"folder": folder / "run", "summary": json.loads(done.stdout)}
+    process = run_cell(*command, cwd=folder, code=0)
+    return {"folder": folder / "run", "summary": json.loads(process.stdout)}
 
 
 def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
@@ -42,8 +42,8 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
 def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[str, Any], run_cell: RunCommand) -> None:
     """The achieved visible coverage is the predicted one, and the sigma of every point is within the limit."""
     folder = limited["folder"]
-    done = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent, code=0)
-    report = json.loads(done.stdout)
+    process = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent, code=0)
+    report = json.loads(process.stdout)
     assert report["coverage"]["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
     assert sum(view["rays"]["too_uncertain"] for view in report["views"]) > 0
     run = open_run(folder)
@@ -107,6 +107,6 @@ def test_invalid_options_are_refused(
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell(*(part_file if word == "PART" else word for word in command), cwd=tmp_path, code=2)
-    assert words in done.stderr.replace("\n", " ")
-    assert "Traceback" not in done.stderr
+    process = run_cell(*(part_file if word == "PART" else word for word in command), cwd=tmp_path, code=2)
+    assert words in process.stderr.replace("\n", " ")
+    assert "Traceback" not in process.stderr

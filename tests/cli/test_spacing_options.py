@@ -20,8 +20,8 @@ def limited(
     """Return the small plan with a limit on the distance of points."""
     folder = tmp_path_factory.mktemp("spacing")
     options = (*small_plan, "--max-spacing", str(LIMIT_MM), "--json", "--out", "run")
-    done = run_cell("plan", str(part_file), "--units", "mm", *options, cwd=folder, code=0)
-    return {"folder": folder / "run", "summary": json.loads(done.stdout)}
+    process = run_cell("plan", str(part_file), "--units", "mm", *options, cwd=folder, code=0)
+    return {"folder": folder / "run", "summary": json.loads(process.stdout)}
 
 
 def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
@@ -40,10 +40,10 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
     assert spacing["limited"].max() <= LIMIT_MM * (1 + 1e-9) < spacing["planned"].max()
     both = rows["limited"] & rows["planned"]  # samples may be added if the coverage of a plan is too low
     dense = [entry for entry, gap in zip(entries["planned"], spacing["planned"], strict=True) if gap <= LIMIT_MM]
-    kept = [{entry for entry in each if entry[0] in both} for each in (entries["limited"], dense)]
+    subsets = [{entry for entry in each if entry[0] in both} for each in (entries["limited"], dense)]
     assert len(both) > 100
-    assert kept[0] == kept[1]
-    assert kept[0]
+    assert subsets[0] == subsets[1]
+    assert subsets[0]
     message, without = limited["summary"]["spacing"], json.loads((planned / "report.json").read_text())
     assert (
         1.0
@@ -60,8 +60,8 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
 
 def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: RunCommand) -> None:
     """The achieved coverage is the predicted one. At most 1 % of it has no scan point within the planned density."""
-    done = run_cell("scan", "run", "--json", cwd=limited["folder"].parent, code=0)
-    report = json.loads(done.stdout)
+    process = run_cell("scan", "run", "--json", cwd=limited["folder"].parent, code=0)
+    report = json.loads(process.stdout)
     coverage = report["coverage"]
     assert coverage["visible"] == pytest.approx(limited["summary"]["coverage"]["visible"], abs=1e-4)
     assert coverage["visible"] - 0.01 <= coverage["dense"] <= coverage["visible"]
@@ -72,10 +72,10 @@ def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: Run
 def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], run_cell: RunCommand) -> None:
     """Both changes measure some of the uncovered surface. The change of spacing names its option."""
     run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent, code=0)
-    tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["all_changes"]
+    changes = json.loads((limited["folder"] / "why" / "why.json").read_text())["all_changes"]
     for kind in ("spacing", "resolution"):
-        assert max(change["estimated_gain"] for change in tried if change["kind"] == kind) > 0
-    assert all(change["setting"].startswith("--max-spacing ") for change in tried if change["kind"] == "spacing")
+        assert max(change["estimated_gain"] for change in changes if change["kind"] == kind) > 0
+    assert all(change["setting"].startswith("--max-spacing ") for change in changes if change["kind"] == "spacing")
 
 
 @pytest.mark.parametrize(
@@ -91,5 +91,5 @@ def test_invalid_limits_are_refused(
     options: tuple[str, ...], words: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """The error has exit code 2 and a remedy."""
-    done = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path, code=2)
-    assert words in done.stderr
+    process = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path, code=2)
+    assert words in process.stderr

@@ -47,17 +47,19 @@ def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
     """The page has the command for each row. A repeated study computes nothing and has equal bytes."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     words = ("study", "standoff", part_file, "--units", "mm", "--scene", "coarse.toml", "--processes", "1")
-    done = run_cell(*words, "--values", "210,310", "--out", "a", cwd=tmp_path, code=0)
-    assert "2 trials computed now" in done.stdout
-    done = run_cell("view", "a", "--no-open", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, "a/view.html\n"), done.stderr
-    wish = "--sensor=paper --standoff=310"
-    assert f"cell plan {part_file} --scene coarse.toml --units=mm {wish}" in (tmp_path / "a" / "view.html").read_text()
+    process = run_cell(*words, "--values", "210,310", "--out", "a", cwd=tmp_path, code=0)
+    assert "2 trials computed now" in process.stdout
+    process = run_cell("view", "a", "--no-open", cwd=tmp_path)
+    assert (process.returncode, process.stdout) == (0, "a/view.html\n"), process.stderr
+    options = "--sensor=paper --standoff=310"
+    assert (
+        f"cell plan {part_file} --scene coarse.toml --units=mm {options}" in (tmp_path / "a" / "view.html").read_text()
+    )
     rows = list(csv.DictReader((tmp_path / "a" / "rows.csv").read_text().splitlines()))
     assert [row["standoff mm"] for row in rows] == ["210.0", "310.0"]
     assert all(int(row["fewest views"]) <= int(row["views"]) for row in rows)
-    done = run_cell(*words, "--values", "210,310", "--out", "b", "--json", cwd=tmp_path, code=0)
-    assert json.loads(done.stdout)["computed"] == 0
+    process = run_cell(*words, "--values", "210,310", "--out", "b", "--json", cwd=tmp_path, code=0)
+    assert json.loads(process.stdout)["computed"] == 0
     names = ("rows.csv", "seconds.csv", "study.json", "report.md", "view.html", "standoff.png", "standoff.svg")
     for name in names:
         assert (tmp_path / "a" / name).stat().st_size > 100, name
@@ -84,11 +86,11 @@ def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
 ) -> None:
     """At 9 m nothing is reachable: the row has coverage 0, and the study does not fail."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
-    done = run_cell(
+    process = run_cell(
         "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",
         "--processes", "1", "--out", "map", "--json", cwd=tmp_path, code=0,
     )  # fmt: skip
-    answer = json.loads(done.stdout)
+    answer = json.loads(process.stdout)
     near, far = answer["rows"]
     assert (near["x mm"], far["x mm"]) == (1000, 9000)
     assert near["coverable %"] > 50
@@ -105,11 +107,11 @@ def test_the_recommended_placement_is_no_worse_than_that_of_the_scene(
     """The printed command gives the coverage, views and time of its row; the placement of the scene is planned too."""
     (tmp_path / "coarse.toml").write_text(_COARSE + "[placement]\nposition_mm = [1150, 420, 60]\n")
     options = ("--units", "mm", "--scene", "coarse.toml")
-    done = run_cell(
+    process = run_cell(
         "study", "placement", part_file, *options, "--x", "1000,1300", "--y", "300,600", "--z", "0,100",
         "--processes", "1", "--out", "map", "--json", cwd=tmp_path, code=0,
     )  # fmt: skip
-    answer = json.loads(done.stdout)
+    answer = json.loads(process.stdout)
     (best,) = [row for row in answer["rows"] if row["best"]]
     assert answer["rows"][answer["best"]] == best
     (own,) = [row for row in answer["rows"] if (row["x mm"], row["y mm"], row["z mm"]) == (1150, 420, 60)]
@@ -157,7 +159,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
     arguments: tuple[str, ...], code: int, words: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """The error has no traceback, nothing on stdout, and no folder is created."""
-    done = run_cell(*(part_file if word == "PART" else word for word in arguments), cwd=tmp_path, code=code)
-    assert words in done.stderr
-    assert done.stdout == ""
+    process = run_cell(*(part_file if word == "PART" else word for word in arguments), cwd=tmp_path, code=code)
+    assert words in process.stderr
+    assert process.stdout == ""
     assert not (tmp_path / "sim_runs").exists()

@@ -24,11 +24,11 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("pyproject.toml", "cone_scanner.py"):  # building writes files: build outside the folder of the tests
         (source / name).write_bytes((PACKAGE / name).read_bytes())
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
-    done = subprocess.run(
+    process = subprocess.run(
         [*pip, "--disable-pip-version-check", "--target", str(target), str(source)],
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     return target
 
 
@@ -47,8 +47,8 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
     arguments += ["--candidates", "optimal-scanning-zone"]
-    done = run_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path, code=0)
-    summary = json.loads(done.stdout)
+    process = run_cell("plan", part_file, *arguments, "--scene", scene, "--out", "run", "--json", cwd=tmp_path, code=0)
+    summary = json.loads(process.stdout)
     assert summary["settings"]["scanner"] == "cone"
     assert summary["coverage"]["visible"] > 0.5
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
@@ -67,8 +67,8 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
 def test_its_unknown_key_is_refused_with_a_hint(run_cell: RunCommand, tmp_path: Path) -> None:
     """The hint names a key among the arguments of the scanner's class."""
     (tmp_path / "cell.toml").write_text('[scanner]\ntype = "cone"\nhalf_angel_deg = 20.0\n', encoding="utf-8")
-    done = run_cell("check", "cell.toml", cwd=tmp_path, code=2)
-    assert "scanner.half_angel_deg is an unknown key of cone; did you mean 'half_angle_deg'?" in done.stderr
+    process = run_cell("check", "cell.toml", cwd=tmp_path, code=2)
+    assert "scanner.half_angel_deg is an unknown key of cone; did you mean 'half_angle_deg'?" in process.stderr
 
 
 def test_equal_parameters_of_other_types_and_versions_are_other_scanners(

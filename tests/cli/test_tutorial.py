@@ -32,8 +32,8 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_cell_is_right(workplace: Path, run_cell: RunCommand) -> None:
     """The first command reports no problem."""
-    done = run_cell(*COMMANDS[0], cwd=workplace, code=0)
-    assert "warning" not in done.stdout
+    process = run_cell(*COMMANDS[0], cwd=workplace, code=0)
+    assert "warning" not in process.stdout
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
@@ -49,9 +49,9 @@ def test_the_commands_exist(words: list[str]) -> None:
 def test_the_commands_run(workplace: Path, run_cell: RunCommand, full_effort: None) -> None:
     """All commands run unchanged in the order of the page. The plan is proven, and the edited plan is scanned."""
     for words in COMMANDS:
-        done = run_cell(*words, cwd=workplace)
-        assert done.returncode == 0, (words, done.stderr)
+        process = run_cell(*words, cwd=workplace)
+        assert process.returncode == 0, (words, process.stderr)
         if words[0] == "plan":
-            assert "Optimal for the" in done.stdout, done.stdout
+            assert "Optimal for the" in process.stdout, process.stdout
     assert (workplace / "better" / "export" / "better.src").is_file()
     assert (workplace / "better" / "executions" / "0001" / "mesh.ply").is_file()

@@ -77,16 +77,16 @@ def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
 
 @pytest.fixture(scope="module")
 def pages(
-    planned: Path, executed: Path, run_cell: RunCommand, drawn: Callable[[], Any], tmp_path_factory: Any
+    planned: Path, executed: Path, run_cell: RunCommand, drawing: Callable[[], Any], tmp_path_factory: Any
 ) -> list[Path]:
     """Return pages of an execution, a scene, `cell why` and `cell diff`."""
     folder = tmp_path_factory.mktemp("pages")
     shutil.copytree(planned, folder / "run")
     for words in (("view", "--no-open", "--out", "scene.html"), ("why", "run", "--samples", "2000"),
                   ("diff", "run", executed, "--out", "diff.html")):  # fmt: skip
-        with drawn():
-            done = run_cell(*words, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        with drawing():
+            process = run_cell(*words, cwd=folder)
+        assert process.returncode == 0, process.stderr
     scan = executed / "executions" / "0001" / "view.html"
     return [scan, *(folder / name for name in ("scene.html", "run/why/view.html", "diff.html"))]
 

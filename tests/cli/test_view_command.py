@@ -13,13 +13,13 @@ from tests.support.fixture_types import RunCommand
 def test_a_run_is_never_changed(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The page in the run folder is opened. A new page is written elsewhere, and never into the folder."""
     before = sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*"))
-    done = run_cell("view", planned, "--no-open", cwd=tmp_path)
-    assert (done.returncode, done.stdout.strip()) == (0, str(planned / "view.html")), done.stderr
-    assert f"next:\n  cell scan {planned}\n" in done.stderr
-    done = run_cell("view", planned, "--no-open", "--out", "again.html", cwd=tmp_path)
-    assert (done.returncode, done.stdout.strip()) == (0, "again.html"), done.stderr
-    done = run_cell("view", planned, "--no-open", "--out", planned / "other.html", cwd=tmp_path)
-    assert (done.returncode, "never changed" in done.stderr) == (2, True)
+    process = run_cell("view", planned, "--no-open", cwd=tmp_path)
+    assert (process.returncode, process.stdout.strip()) == (0, str(planned / "view.html")), process.stderr
+    assert f"next:\n  cell scan {planned}\n" in process.stderr
+    process = run_cell("view", planned, "--no-open", "--out", "again.html", cwd=tmp_path)
+    assert (process.returncode, process.stdout.strip()) == (0, "again.html"), process.stderr
+    process = run_cell("view", planned, "--no-open", "--out", planned / "other.html", cwd=tmp_path)
+    assert (process.returncode, "never changed" in process.stderr) == (2, True)
     assert sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*")) == before
 
 
@@ -44,8 +44,8 @@ def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cel
     (tmp_path / "mine.toml").write_text(f"{part}[placement]\nposition_mm = [0, 0, 0]\n")
     assert run_cell("view", "mine.toml", "--no-open", "--out", "b.html", cwd=tmp_path).returncode == 0
     assert re.search(r'"problems":\["[^"]+', (tmp_path / "b.html").read_text())
-    done = run_cell("view", "--watch", "--no-open", cwd=tmp_path)
-    assert (done.returncode, "cell view my_cell.toml --watch" in done.stderr) == (2, True)
+    process = run_cell("view", "--watch", "--no-open", cwd=tmp_path)
+    assert (process.returncode, "cell view my_cell.toml --watch" in process.stderr) == (2, True)
 
 
 def test_a_watched_scene_is_drawn_again_after_each_save(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

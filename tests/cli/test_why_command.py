@@ -12,11 +12,13 @@ from tests.support.fixture_types import RunCommand
 def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The table has its title, the files are named, suggested commands have each option once, and stderr is empty."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path, code=0)
-    assert done.stderr == ""
-    assert "Uncovered surface" in done.stdout
-    assert "files: run/why" in done.stdout
-    following = [line.split() for line in done.stdout.split("next:")[1].splitlines() if line.startswith("  cell plan")]
+    process = run_cell("why", "run", "--samples", "2000", cwd=tmp_path, code=0)
+    assert process.stderr == ""
+    assert "Uncovered surface" in process.stdout
+    assert "files: run/why" in process.stdout
+    following = [
+        line.split() for line in process.stdout.split("next:")[1].splitlines() if line.startswith("  cell plan")
+    ]
     assert all(line.count(word) == 1 for line in following for word in line if word.startswith("--"))
     written = sorted(path.name for path in (tmp_path / "run" / "why").iterdir())
     assert written == ["view.html", "why.json", "why.ply", "why.png"]
@@ -25,10 +27,10 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: RunComm
 def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """Stdout is the content of why.json. Visible and open shares sum to one, and the groups sum to the open share."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path, code=0)
-    output = json.loads(done.stdout)
-    kept = json.loads((tmp_path / "run" / "why" / "why.json").read_text())
-    assert {key: value for key, value in kept.items() if key != "schema"} == output
+    process = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path, code=0)
+    output = json.loads(process.stdout)
+    content = json.loads((tmp_path / "run" / "why" / "why.json").read_text())
+    assert {key: value for key, value in content.items() if key != "schema"} == output
     assert abs(output["visible"] + output["uncovered"] - 1) < 1e-9
     assert abs(sum(group["share"] for group in output["groups"]) - output["uncovered"]) < 1e-9
 
@@ -48,16 +50,16 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: RunCommand, t
 def test_complete_coverage_is_reported(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With one sample, which the plan measures, no reason is given, and the four files are written."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--samples", "1", cwd=tmp_path, code=0)
-    assert "the whole surface is covered" in done.stdout
+    process = run_cell("why", "run", "--samples", "1", cwd=tmp_path, code=0)
+    assert "the whole surface is covered" in process.stdout
     assert len(list((tmp_path / "run" / "why").iterdir())) == 4
 
 
 def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A second set-up never reduces the coverage. Every command is the command of the plan with another placement."""
     shutil.copytree(planned, tmp_path / "run")
-    done = run_cell("why", "run", "--advise", "--json", cwd=tmp_path, code=0)
-    output = json.loads(done.stdout)
+    process = run_cell("why", "run", "--advise", "--json", cwd=tmp_path, code=0)
+    output = json.loads(process.stdout)
     visible = json.loads((tmp_path / "run" / "plan.json").read_text())["coverage"]["visible"]
     assert output["visible"] == pytest.approx(visible, abs=2e-4)
     commands = [advice["command"] for advice in output["advice"]]

@@ -329,14 +329,14 @@ def test_missed_answers_that_are_counted_later_are_no_restart(cycle_ms: int, lag
         process = driver._link._process  # type: ignore[attr-defined]
 
         def freeze() -> None:
-            held, count = bench.controller.late, bench.controller.count_late
+            late, count = bench.controller.late, bench.controller.count_late
             bench.controller.count_late = lambda: None
             os.kill(process.pid, signal.SIGSTOP)
             threading.Event().wait(seconds)
             os.kill(process.pid, signal.SIGCONT)
             threading.Event().wait(0.05)
             bench.controller.count_late = count
-            bench.controller.late = held + 8
+            bench.controller.late = late + 8
 
         thread = bench.when_moving(freeze)
         assert driver.move(FAR, 0.3).axes.tolist() == FAR[0].tolist()

@@ -63,11 +63,11 @@ def test_a_killed_controller_comes_back(protocol: str, emulate: Emulate, tmp_pat
 def test_the_watchdog_stops_the_arm_of_a_lost_client(emulate: Emulate) -> None:
     """A socket closes during a move; the next client reads the fault and resets it."""
     emulated = emulate("modbus", "--time-scale", "2")
-    lost: Any = open_driver(emulated.url + "&watchdog_ms=600&timeout_ms=200", ARM)
-    lost.connect()
-    lost.take()
-    lost._link.send(lost.state().ack_sequence + 1, Move(turned(170.0), 0.05))
-    lost._link.close()  # without the stop of close()
+    client: Any = open_driver(emulated.url + "&watchdog_ms=600&timeout_ms=200", ARM)
+    client.connect()
+    client.take()
+    client._link.send(client.state().ack_sequence + 1, Move(turned(170.0), 0.05))
+    client._link.close()  # without the stop of close()
     with open_driver(emulated.url + "&" + LONG_TIMEOUTS, ARM) as driver:
         for _ in range(200):  # reading feeds no watchdog
             if driver.state().fault_code and driver.state().at_rest:

@@ -468,12 +468,12 @@ def test_a_copy_of_this_client_is_detected(wire: Bench) -> None:
 
 def test_ctrl_c_before_the_answer_stops_the_arm(wire: Bench) -> None:
     """The command may have been executed, so the client stops before the interrupt is raised."""
-    send, done = wire.link.send, [False]
+    send, is_raised = wire.link.send, [False]
 
     def interrupted(sequence: int, command: Any) -> Any:
         answer = send(sequence, command)
-        if isinstance(command, Move) and not done[0]:
-            done[0] = True
+        if isinstance(command, Move) and not is_raised[0]:
+            is_raised[0] = True
             raise KeyboardInterrupt
         return answer
 

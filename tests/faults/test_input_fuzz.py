@@ -217,9 +217,9 @@ def test_a_name_that_no_file_can_have_is_no_bug(
     arguments: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """A name of more than 255 bytes ends with the exit code of files or of the scene."""
-    done = run_cell(*(word.format(long="n" * 300) for word in arguments), cwd=tmp_path)
-    assert done.returncode in (2, 6), done.stderr
-    assert "bug" not in done.stderr
+    process = run_cell(*(word.format(long="n" * 300) for word in arguments), cwd=tmp_path)
+    assert process.returncode in (2, 6), process.stderr
+    assert "bug" not in process.stderr
 
 
 def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
@@ -245,8 +245,8 @@ def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Pat
         (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "run" / name).write_text('{"views": ' + "[" * 100_000)
     for command in (("export", "run"), ("scan", "run"), ("replay", "run", "--picture", "x.png")):
-        done = run_cell(*command, cwd=tmp_path, code=6)
-        assert done.stderr.count("\n") == 1
+        process = run_cell(*command, cwd=tmp_path, code=6)
+        assert process.stderr.count("\n") == 1
 
 
 def _bomb(unfolded: int) -> bytes:
@@ -254,7 +254,10 @@ def _bomb(unfolded: int) -> bytes:
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (unfolded // 8,)})
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made, made.open("q.npy", "w", force_zip64=True) as file:
+    with (
+        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("q.npy", "w", force_zip64=True) as file,
+    ):
         file.write(header.getvalue())
         for _ in range(unfolded >> 20):
             file.write(bytes(1 << 20))
@@ -266,15 +269,15 @@ def _liar() -> bytes:
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 37,)})
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as made:
-        made.writestr("q.npy", header.getvalue() + bytes(80))
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("q.npy", header.getvalue() + bytes(80))
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("made", [lambda: _bomb(1 << 28), _liar], ids=["bomb", "liar"])
-def test_allocation_is_bounded_by_the_size_of_the_file(made: Callable[[], bytes]) -> None:
+@pytest.mark.parametrize("make_content", [lambda: _bomb(1 << 28), _liar], ids=["bomb", "liar"])
+def test_allocation_is_bounded_by_the_size_of_the_file(make_content: Callable[[], bytes]) -> None:
     """An npz that expands a thousand times or announces a terabyte is refused without allocating that size."""
-    content = made()
+    content = make_content()
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(CellError, match="is damaged or cut short"):
         npz_arrays(Path("q.npz"), content)

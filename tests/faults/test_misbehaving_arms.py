@@ -142,15 +142,15 @@ def test_a_hold_suspends_the_limits(name: str, wire: str) -> None:
     bench, notes = connected(wire), []
     bench.driver._notify = notes.append
     controller, report = bench.endpoint.controller, bench.endpoint.report
-    now, held, began = controller._clock.now, [0.0], bench.clock.now()
+    now, hold_time, began = controller._clock.now, [0.0], bench.clock.now()
 
     def is_held() -> bool:
         return bool(bench.journal.of("move")) and bench.clock.now() <= 8.0
 
     def paused() -> float:
         if is_held():
-            held[0] = bench.clock.now() - began
-        return float(now() - held[0])
+            hold_time[0] = bench.clock.now() - began
+        return float(now() - hold_time[0])
 
     def held_report() -> RobotState:
         state = report()

@@ -87,14 +87,14 @@ class Rig:
     Attributes:
         bench: client, wire and controller.
         phase: current phase of the loop.
-        kept: of each kept scan the true axes at its beginning and end, its goal, and whether the arm was at rest.
+        scans: of each scan the true axes at its beginning and end, its goal, and whether the arm was at rest.
         longest: longest call of the driver [s].
         outcome: message of the error; empty: none.
     """
 
     bench: Bench
     phase: str = "connect"
-    kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]] = field(default_factory=list)
+    scans: list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]] = field(default_factory=list)
     longest: float = 0.0
     outcome: str = ""
 
@@ -151,11 +151,11 @@ class Rig:
         finally:
             self.phase = "standing"
         end = self.true_state()
-        self.kept.append((begin.axes, end.axes, goal, begin.at_rest and end.at_rest))
+        self.scans.append((begin.axes, end.axes, goal, begin.at_rest and end.at_rest))
         return 1, {}
 
     def judge(self, must_fail: bool, causes: str) -> None:
-        for begin, end, goal, at_rest in self.kept:
+        for begin, end, goal, at_rest in self.scans:
             assert at_rest, "scanned while the arm moved"
             for axes in (begin, end):
                 error = TRAVEL(to_rad(goal)[None], to_rad(axes)[None])[0] if (axes != goal).any() else 0.0
@@ -166,7 +166,7 @@ class Rig:
         if self.outcome:
             assert re.search(causes, self.outcome), self.outcome
         else:
-            assert len(self.kept) == 2
+            assert len(self.scans) == 2
 
 
 @pytest.fixture
@@ -174,9 +174,9 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Rig]:
     """Return a function that makes a rig."""
 
     def make(wire: str) -> Rig:
-        made = Rig(make_bench(wire))
-        monkeypatch.setattr(execution, "scan_view", made.scan)
-        return made
+        new_rig = Rig(make_bench(wire))
+        monkeypatch.setattr(execution, "scan_view", new_rig.scan)
+        return new_rig
 
     return make
 
@@ -253,20 +253,20 @@ def _cases(cases: list[Any], sample: int) -> Any:
 @_cases(list(itertools.product(FIELDS, FAULTS, PHASES, WIRES)), 45)
 def test_a_wrong_field(rig: Callable[[str], Rig], name: str, fault: str, phase: str, wire: str) -> None:
     """Every field, fault and phase is tested on every wire."""
-    made = rig(wire)
-    disturb_field(made, name, fault, phase)
-    made.drive()
+    bench_rig = rig(wire)
+    disturb_field(bench_rig, name, fault, phase)
+    bench_rig.drive()
     is_certain = (name, fault) in CERTAIN and phase in ("move", "scan")
-    made.judge(is_certain or (name, fault, phase) == ("heartbeat", "zero", "move"), CAUSES[name])
+    bench_rig.judge(is_certain or (name, fault, phase) == ("heartbeat", "zero", "move"), CAUSES[name])
 
 
 @_cases(list(itertools.product(MODBUS_FIELDS, ("zero", "one", "all bits", "stuck", "stale"), PHASES, WIRES[1:])), 15)
 def test_a_wrong_register(rig: Callable[[str], Rig], name: str, fault: str, phase: str, wire: str) -> None:
     """Fields that only the registers have are tested with every fault and phase."""
-    made = rig(wire)
-    disturb_register(made, name, fault, phase)
-    made.drive()
-    made.judge(
+    bench_rig = rig(wire)
+    disturb_register(bench_rig, name, fault, phase)
+    bench_rig.drive()
+    bench_rig.judge(
         name in ("magic", "version", "word_order", "n_axes") and fault == "zero" and phase in ("move", "scan"),
         r"register 0|version|word|echo|answers command|axes|result|refus|number|owner|stopped|done|session|not give",
     )
@@ -284,12 +284,12 @@ LINES: dict[str, Callable[[bytes], list[bytes]]] = {
 @_cases(list(itertools.product([*LINES, "late", "refusing"], ["answers"], PHASES, WIRES)), 21)
 def test_wrong_answers(rig: Callable[[str], Rig], name: str, fault: str, phase: str, wire: str) -> None:
     """All answers from the beginning of a phase on are disturbed."""
-    made = rig(wire)
-    station: Any = made.bench.server._station
-    send, clock, answer, later = made.bench.line.send, made.bench.clock, station.answer, []
+    bench_rig = rig(wire)
+    station: Any = bench_rig.bench.server._station
+    send, clock, answer, later = bench_rig.bench.line.send, bench_rig.bench.clock, station.answer, []
 
     def disturbed_send(peer: int, packet: bytes) -> None:
-        if made.phase != phase or name == "refusing":
+        if bench_rig.phase != phase or name == "refusing":
             send(peer, packet)
         elif name == "late":
             later.append((clock.now() + 0.2, peer, packet))
@@ -302,10 +302,12 @@ def test_wrong_answers(rig: Callable[[str], Rig], name: str, fault: str, phase: 
         while later and later[0][0] <= clock.now():
             send(*later.pop(0)[1:])
 
-    made.bench.line.send, clock.step = disturbed_send, step  # type: ignore[method-assign]
-    station.answer = lambda packet: (station.refuse if name == "refusing" and made.phase == phase else answer)(packet)
-    made.drive()
-    made.judge(
+    bench_rig.bench.line.send, clock.step = disturbed_send, step  # type: ignore[method-assign]
+    station.answer = lambda packet: (station.refuse if name == "refusing" and bench_rig.phase == phase else answer)(
+        packet
+    )
+    bench_rig.drive()
+    bench_rig.judge(
         name in ("mute", "noisy", "refusing", "torn") and phase != "stop",
         r"answer|frame|refused|gone|telegram|closed|exception|arguments|could not|occupied|echo",
     )

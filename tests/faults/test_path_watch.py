@@ -146,10 +146,10 @@ def watch(via: SetPoints, limits: Limits = KR16) -> PathWatch:
 
 def test_an_axis_beyond_its_limits_is_named() -> None:
     """The reported axes are compared with the limits before anything else."""
-    beyond = HOME.copy()
-    beyond[1] = 500_000
+    outside = HOME.copy()
+    outside[1] = 500_000
     with pytest.raises(PathError, match=r"A2 is at 50\.0000 deg during a move, 15\.0000 deg outside its limits -155"):
-        watch(turned(20.0)).update(beyond, 0.1)
+        watch(turned(20.0)).update(outside, 0.1)
 
 
 def test_deviations_add_up() -> None:

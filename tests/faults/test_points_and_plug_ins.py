@@ -95,8 +95,8 @@ def test_points_that_are_no_scan(points: Any, words: str) -> None:
 )
 def test_an_invalid_grid(pixel: list[float] | None, grid_shape: list[float] | None) -> None:
     """Pixels outside the grid, fractions, and one of the two arrays alone are refused before they are stored."""
-    given = {"pixel": pixel, "grid_shape": grid_shape}
-    arrays = {name: np.array(values) for name, values in given.items() if values is not None}
+    grid = {"pixel": pixel, "grid_shape": grid_shape}
+    arrays = {name: np.array(values) for name, values in grid.items() if values is not None}
     acquired = Acquired(np.array([[0.0, 0.0, 0.3], [0.0, 0.1, 0.3]]), "scanner", arrays)
     with pytest.raises(FileError, match=r"the points of view 3 have an invalid grid: .*rows and columns"):
         require_scan(acquired, VIEW, [200.0, 900.0])
@@ -210,6 +210,6 @@ def test_an_interrupt_ends_the_command_too(tmp_path: Path) -> None:
         f"source = command('sh -c \"echo $$ > {tmp_path}/number; sleep 60\"', Path({str(tmp_path)!r}), 50.0, [])\n"
         "source.take(VIEW)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60, check=False)
-    assert b"KeyboardInterrupt" in done.stderr
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60, check=False)
+    assert b"KeyboardInterrupt" in process.stderr
     assert not _is_alive(int((tmp_path / "number").read_text()))

@@ -63,12 +63,12 @@ def _word(run: Path) -> tuple[str, str]:
     return "--confirm-motion", open_finished(run).digest
 
 
-def _own_way(done: "subprocess.CompletedProcess[str]") -> tuple[str, str]:
+def _path_confirmation(process: "subprocess.CompletedProcess[str]") -> tuple[str, str]:
     """Return the confirmation of a new path, which the refusal of the plan's digest names. The arm has not moved."""
-    assert done.returncode == 2, done.stderr
-    named = re.search(r"which is ([0-9a-f]{8})", done.stderr)
-    assert named, done.stderr
-    return "--confirm-motion", named[1]
+    assert process.returncode == 2, process.stderr
+    match = re.search(r"which is ([0-9a-f]{8})", process.stderr)
+    assert match, process.stderr
+    return "--confirm-motion", match[1]
 
 
 def _wait_for_scans(run: Path, count: int, process: "subprocess.Popen[str]") -> None:
@@ -97,12 +97,14 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     left = len(_scans(run_folder / "executions" / "0001"))
     assert 1 <= left < len(undisturbed)
     again = ("scan", str(run_folder), "--resume", "latest", "--speed", "1", *_SCALE)
-    done = run_cell(*again, *_word(run_folder), "--reset", cwd=run_folder.parent)
-    word = _own_way(done) if done.returncode else _word(run_folder)  # depends on the position at which the arm stopped
-    if done.returncode:
-        done = run_cell(*again, *word, "--reset", cwd=run_folder.parent)
-    assert done.returncode == 0, done.stderr
-    assert f"{left} views are scanned already" in done.stderr
+    completed = run_cell(*again, *_word(run_folder), "--reset", cwd=run_folder.parent)
+    word = (
+        _path_confirmation(completed) if completed.returncode else _word(run_folder)
+    )  # depends on the position at which the arm stopped
+    if completed.returncode:
+        completed = run_cell(*again, *word, "--reset", cwd=run_folder.parent)
+    assert completed.returncode == 0, completed.stderr
+    assert f"{left} views are scanned already" in completed.stderr
     execution = run_folder / "executions" / "0001"
     assert _scans(execution) == undisturbed
     assert [event["number"] for event in _events(execution) if event["event"] == "scan"] == sorted(
@@ -113,8 +115,8 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     assert len(manifest["resumptions"]) == 1
     assert manifest["digest"] == open_finished(run_folder).digest
     assert (manifest["resumptions"][0].get("path_digest", "")[:8] == word[1]) == (word != _word(run_folder))
-    done = run_cell(*again, cwd=run_folder.parent, code=2)
-    assert "nothing to resume" in done.stderr
+    completed = run_cell(*again, cwd=run_folder.parent, code=2)
+    assert "nothing to resume" in completed.stderr
 
 
 def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
@@ -129,10 +131,10 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
     assert process.returncode == 5, output
     restarted = emulate("modbus", *_FAST, partner=emulated)
     again = ("scan", run_folder, "--resume", "0001", "--driver", restarted.url, "--speed", "1", "--reset", *_SCALE)
-    done = run_cell(*again, *_word(run_folder), cwd=run_folder.parent)
-    if done.returncode:
-        done = run_cell(*again, *_own_way(done), cwd=run_folder.parent)
-    assert done.returncode == 0, done.stderr
+    completed = run_cell(*again, *_word(run_folder), cwd=run_folder.parent)
+    if completed.returncode:
+        completed = run_cell(*again, *_path_confirmation(completed), cwd=run_folder.parent)
+    assert completed.returncode == 0, completed.stderr
     assert _scans(run_folder / "executions" / "0001") == undisturbed
 
 
@@ -146,8 +148,8 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
     for name in missing:
         (execution / "scans" / name).unlink()
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
-    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent, code=0)
-    assert "a new path to view 2 was planned" in done.stderr
+    process = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent, code=0)
+    assert "a new path to view 2 was planned" in process.stderr
     assert _scans(execution) == undisturbed
 
 
@@ -157,7 +159,7 @@ def standing(emulate_for_all: Emulate) -> Any:
     return emulate_for_all("modbus", *_FAST)
 
 
-class _Told:
+class _NoteReporter:
     """A reporter that keeps its notes."""
 
     def __init__(self) -> None:
@@ -174,8 +176,8 @@ def test_the_new_path_is_reported_before_the_confirmation(executed_folder: Path,
         (execution / "scans" / name).unlink()
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
-    kept = (execution / "manifest.json").read_bytes()
-    reporter, known = _Told(), []
+    content = (execution / "manifest.json").read_bytes()
+    reporter, known = _NoteReporter(), []
 
     def ask(question: str) -> str:
         known.extend([*reporter.notes, question])
@@ -187,7 +189,7 @@ def test_the_new_path_is_reported_before_the_confirmation(executed_folder: Path,
     assert "a new path to view 2 was planned" in known[1]
     assert "Type yes" in known[2]
     assert standing.entries("move") == []
-    assert (execution / "manifest.json").read_bytes() == kept
+    assert (execution / "manifest.json").read_bytes() == content
 
 
 @pytest.mark.parametrize(
@@ -204,9 +206,9 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))
-    done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent, code=0)
-    assert ("0002.npz" if torn else "0099.npz") in done.stderr
-    assert "1 remain (2)" in done.stderr
+    process = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent, code=0)
+    assert ("0002.npz" if torn else "0099.npz") in process.stderr
+    assert "1 remain (2)" in process.stderr
     (execution / "scans" / "0099.npz").unlink(missing_ok=True)
     assert run_cell("scan", executed_folder, "--report", "latest", cwd=executed_folder.parent).returncode == 0
     assert [event["number"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
@@ -232,9 +234,11 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
 
 def test_hardware_is_refused_without_confirmation(run_folder: Path, standing: Any, run_cell: RunCommand) -> None:
     """Without a terminal and --confirm-motion the command exits with 2, without execution or move."""
-    done = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent, code=2)
-    assert f"--confirm-motion {_word(run_folder)[1][:8]}" in done.stderr
-    assert _own_way(run_cell("scan", run_folder, "--driver", standing.url, "--confirm-motion", "0" * 8, cwd=run_folder))
+    process = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent, code=2)
+    assert f"--confirm-motion {_word(run_folder)[1][:8]}" in process.stderr
+    assert _path_confirmation(
+        run_cell("scan", run_folder, "--driver", standing.url, "--confirm-motion", "0" * 8, cwd=run_folder)
+    )
     assert not (run_folder / "executions").exists()
     assert standing.entries("move") == []
 
@@ -244,10 +248,10 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
 ) -> None:
     """The arm is not moved, because no path from its position to the start is checked."""
     emulated = emulate("modbus", *_FAST, "--start", "5,-90,90,0,90,0")
-    done = run_cell(
+    process = run_cell(
         "scan", str(run_folder), "--driver", emulated.url, *_word(run_folder), *_SCALE, cwd=run_folder.parent, code=5
     )
-    assert "the plan begins at" in done.stderr
+    assert "the plan begins at" in process.stderr
     assert emulated.entries("move") == []
 
 
@@ -268,16 +272,18 @@ def test_executions_that_cannot_be_resumed_are_refused_with_the_reason(
     digest = open_finished(run_folder).digest
     manifest = {"schema": "scan-cell/run/1", "status": "failed", "digest": digest, "seed": 3, "options": {}, **change}
     (execution / "manifest.json").write_text(json.dumps(manifest))
-    kept = (execution / "manifest.json").read_bytes()
-    done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent, code=code)
-    assert words in done.stderr
-    assert (execution / "manifest.json").read_bytes() == kept
+    content = (execution / "manifest.json").read_bytes()
+    process = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent, code=code)
+    assert words in process.stderr
+    assert (execution / "manifest.json").read_bytes() == content
 
 
 def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_cell: RunCommand) -> None:
     """Options of a new scan are refused with --resume."""
-    done = run_cell("scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent, code=2)
-    assert "--resume keeps the options" in done.stderr
+    process = run_cell(
+        "scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent, code=2
+    )
+    assert "--resume keeps the options" in process.stderr
     assert np.array_equal(list((run_folder).glob("executions")), [])
 
 
@@ -287,14 +293,14 @@ def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(
     """With all scans missing the execution is resumed, and results of an earlier report are removed."""
     run_cell("scan", str(run_folder), "--resolution", "2", "--view", "2", cwd=run_folder.parent)
     execution = run_folder / "executions" / "0001"
-    (kept,) = _scans(execution).values()
+    (scan,) = _scans(execution).values()
     again = ("scan", str(run_folder), "--resume", "latest")
     assert run_cell(*again, cwd=run_folder.parent).returncode == 2
     (execution / "scans" / "0002.npz").unlink()
     run_cell(*again, "--driver", "modbus://127.0.0.1:1", *_word(run_folder), cwd=run_folder.parent, code=5)
     assert (execution / "report.json").exists()
     run_cell(*again, cwd=run_folder.parent, code=0)
-    assert _scans(execution) == {"0002.npz": kept}
+    assert _scans(execution) == {"0002.npz": scan}
     manifest = json.loads((execution / "manifest.json").read_text())
     assert manifest["status"] == "finished"
     assert "reason" not in manifest

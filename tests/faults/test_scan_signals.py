@@ -66,10 +66,10 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
         assert time.monotonic() - sent < 4.0  # 2 s, and a machine with other work
         assert f"stopped by {SIGNALS[name]}" in output
     again = ("scan", str(run_folder), "--resume", "latest", *_FAST, "--reset")
-    done = run_cell(*again, *word, cwd=run_folder.parent)
-    if own := re.search("not the digest of the new path.* which is ([0-9a-f]+)", done.stderr):
-        done = run_cell(*again, "--confirm-motion", own[1], cwd=run_folder.parent)
-    assert done.returncode == (0 if process.returncode == 130 else 2), done.stderr
+    completed = run_cell(*again, *word, cwd=run_folder.parent)
+    if own := re.search("not the digest of the new path.* which is ([0-9a-f]+)", completed.stderr):
+        completed = run_cell(*again, "--confirm-motion", own[1], cwd=run_folder.parent)
+    assert completed.returncode == (0 if process.returncode == 130 else 2), completed.stderr
     assert _scans(run_folder) == {
         path.name: path.read_bytes() for path in sorted((executed / "executions" / "0001" / "scans").glob("*.npz"))
     }
@@ -80,9 +80,9 @@ def test_two_processes_cannot_work_on_one_execution(executed: Path, tmp_path: Pa
     run_folder = Path(shutil.copytree(executed, tmp_path / "run"))
     (run_folder / "executions" / "0001" / "scans" / "0002.npz").unlink()
     with safety.exclusive(run_folder / "executions" / "0001"):
-        done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
-    assert done.returncode == 6, done.stderr
-    assert "another process uses execution 0001" in done.stderr
+        process = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
+    assert process.returncode == 6, process.stderr
+    assert "another process uses execution 0001" in process.stderr
 
 
 @pytest.mark.parametrize("resolution", ["1e-9", "1e-3"])
@@ -91,7 +91,7 @@ def test_rays_beyond_memory_are_refused_before_the_first_move(
 ) -> None:
     """A resolution with more rays than memory ends with exit code 2 before the first move."""
     emulated = emulate("modbus", "--time-scale", "20")
-    done = run_cell(
+    process = run_cell(
         "scan",
         str(run_folder),
         "--resolution",
@@ -102,6 +102,6 @@ def test_rays_beyond_memory_are_refused_before_the_first_move(
         cwd=run_folder.parent,
         code=2,
     )
-    assert "nothing was moved" in done.stderr
+    assert "nothing was moved" in process.stderr
     assert emulated.entries("move") == []
     assert not (run_folder / "executions").exists()

@@ -63,7 +63,7 @@ def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Out
     """A worker is killed at the first result, and the outcomes equal those of an undisturbed run."""
     killed: list[int] = []
 
-    def kill_one(done: int, total: int, outcome: Outcome) -> None:
+    def kill_one(n_done: int, total: int, outcome: Outcome) -> None:
         if not killed:
             victim = multiprocessing.active_children()[0]
             killed.append(victim.pid or 0)
@@ -77,7 +77,7 @@ def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Out
 def test_a_stopped_study_resumes(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
     """After Ctrl-C at the first result, the next run computes only the remaining trials."""
 
-    def stop(done: int, total: int, outcome: Outcome) -> None:
+    def stop(n_done: int, total: int, outcome: Outcome) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -128,8 +128,8 @@ def cluster() -> Iterator[Any]:
 
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-    ) as made:
-        yield made
+    ) as local_cluster:
+        yield local_cluster
 
 
 @pytest.mark.filterwarnings("default")  # warnings of Dask about the killed worker
@@ -139,7 +139,7 @@ def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
     """A worker is killed at the first result, and the other worker computes its trials."""
     killed: list[int] = []
 
-    def kill_one(done: int, total: int, outcome: Outcome) -> None:
+    def kill_one(n_done: int, total: int, outcome: Outcome) -> None:
         if not killed:
             nanny = next(iter(cluster.workers.values()))
             killed.append(nanny.pid)

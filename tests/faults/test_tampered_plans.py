@@ -99,7 +99,7 @@ def _walk(name: str, tree: Any) -> Iterator[tuple[str, list[Any], str, Callable[
             for what, other in _others(value):
                 yield below, at, what, lambda old, other=other: other
             if isinstance(here, dict):
-                yield below, at, "taken away", lambda old: _GONE
+                yield below, at, "taken away", lambda old: _REMOVED
             if isinstance(value, list) and value:
                 yield below, at, "its last taken away", lambda old: old[:-1]
                 yield below, at, "its last twice", lambda old: [*old, old[-1]]
@@ -109,26 +109,26 @@ def _walk(name: str, tree: Any) -> Iterator[tuple[str, list[Any], str, Callable[
                 todo.append((value, below + "." if isinstance(value, dict) else below, at))
 
 
-_GONE = object()
+_REMOVED = object()
 
 
 def json_changes(run: Path, name: str, below: str = "") -> list[Callable[[], Change]]:
     """Return the changes of every field of a JSON file whose name contains `below`."""
     tree = json.loads((run / name).read_text())
 
-    def made(field: str, place: list[Any], what: str, change: Callable[[Any], Any]) -> Change:
+    def change_field(field: str, place: list[Any], what: str, change: Callable[[Any], Any]) -> Change:
         new = copy.deepcopy(tree)
         owner = new
         for key in place[:-1]:
             owner = owner[key]
         value = change(owner[place[-1]])
-        if value is _GONE:
+        if value is _REMOVED:
             del owner[place[-1]]
         else:
             owner[place[-1]] = value
         return Change(field, f"{place} {what}", json.dumps(new, indent=2).encode())
 
-    return [lambda args=args: made(*args) for args in _walk(name, tree) if below in args[0]]
+    return [lambda args=args: change_field(*args) for args in _walk(name, tree) if below in args[0]]
 
 
 def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
@@ -154,7 +154,7 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
             flat[index] += 1
         return new
 
-    def made(key: str, what: str, value: Any, index: int = -1) -> Change:
+    def change_array(key: str, what: str, value: Any, index: int = -1) -> Change:
         others = {own: array for own, array in arrays.items() if own != key}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **others, **({} if value is None else {key: value}))
@@ -162,16 +162,16 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
 
     changes: list[Callable[[], Change]] = []
     for key, array in arrays.items():
-        chosen = rng.choice(array.size, min(each, array.size), replace=False).tolist()
+        indices = rng.choice(array.size, min(each, array.size), replace=False).tolist()
         if name == "viewpoints.npz" and key in ("T_object_scanner", "roll"):  # and of views of the plan
             per_row = array.size // len(array)
-            chosen += [view * per_row + int(rng.integers(min(per_row, 12))) for view in views[:each]]
-        changes += [lambda key=key, k=k, a=array: made(key, f"entry {k}", entry(a, k), k) for k in chosen]
-        changes.append(lambda key=key: made(key, "taken away", None))
-        changes.append(lambda key=key, a=array: made(key, "its last taken away", a[:-1]))
-        changes.append(lambda key=key, a=array: made(key, "its last twice", np.concatenate([a, a[-1:]])))
+            indices += [view * per_row + int(rng.integers(min(per_row, 12))) for view in views[:each]]
+        changes += [lambda key=key, k=k, a=array: change_array(key, f"entry {k}", entry(a, k), k) for k in indices]
+        changes.append(lambda key=key: change_array(key, "taken away", None))
+        changes.append(lambda key=key, a=array: change_array(key, "its last taken away", a[:-1]))
+        changes.append(lambda key=key, a=array: change_array(key, "its last twice", np.concatenate([a, a[-1:]])))
         if not np.array_equal(array, array[::-1]):
-            changes.append(lambda key=key, a=array: made(key, "turned round", a[::-1]))
+            changes.append(lambda key=key, a=array: change_array(key, "turned round", a[::-1]))
     return changes
 
 
@@ -185,7 +185,7 @@ def xml_changes(run: Path, name: str) -> list[Callable[[], Change]]:
                 (number, attribute)
             )
 
-    def made(kind: str, number: int, attribute: str, what: str) -> Change:
+    def change_element(kind: str, number: int, attribute: str, what: str) -> Change:
         root = ElementTree.fromstring(content)
         element = list(root.iter())[number]
         if not attribute:
@@ -201,7 +201,7 @@ def xml_changes(run: Path, name: str) -> list[Callable[[], Change]]:
         return Change(f"{name}:{kind}", f"{kind} number {number} {what}", ElementTree.tostring(root))
 
     return [
-        lambda args=(kind, *place, what): made(*args)
+        lambda args=(kind, *place, what): change_element(*args)
         for kind, found in places.items()
         if kind != "mujoco"  # the root
         for place in dict.fromkeys((found[0], found[len(found) // 2], found[-1]))
@@ -213,7 +213,7 @@ def mesh_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> l
     """Return changes of a mesh: a vertex, a face, its size, its place."""
     mesh = open_run(run).mesh(name)
 
-    def made(field: str, what: str, vertices: Any, faces: Any) -> Change:
+    def change_mesh(field: str, what: str, vertices: Any, faces: Any) -> Change:
         new = TriangleMesh(vertices, faces.astype(np.int32), None if len(faces) != len(mesh.faces) else mesh.region)
         return Change(f"{name}:{field}", what, ply.mesh_bytes(new))
 
@@ -222,21 +222,21 @@ def mesh_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> l
         vertices[index] += 2e-5
         return vertices
 
-    chosen = rng.choice(len(mesh.vertices), each, replace=False).tolist()
+    indices = rng.choice(len(mesh.vertices), each, replace=False).tolist()
     changes: list[Callable[[], Change]] = [
-        lambda k=k: made("vertex", f"vertex {k} moved", moved(k), mesh.faces) for k in chosen
+        lambda k=k: change_mesh("vertex", f"vertex {k} moved", moved(k), mesh.faces) for k in indices
     ]
     changes += [
-        lambda: made("face", "the last taken away", mesh.vertices, mesh.faces[:-1]),
-        lambda: made("face", "the last twice", mesh.vertices, mesh.faces[[*range(len(mesh.faces)), -1]]),
-        lambda: made("face", "all inverted", mesh.vertices, mesh.faces[:, ::-1]),
-        lambda: made("vertex", "all at 30 %", 0.3 * mesh.vertices, mesh.faces),
-        lambda: made("vertex", "all 1 mm higher", mesh.vertices + np.array([0.0, 0.0, 1e-3]), mesh.faces),
+        lambda: change_mesh("face", "the last taken away", mesh.vertices, mesh.faces[:-1]),
+        lambda: change_mesh("face", "the last twice", mesh.vertices, mesh.faces[[*range(len(mesh.faces)), -1]]),
+        lambda: change_mesh("face", "all inverted", mesh.vertices, mesh.faces[:, ::-1]),
+        lambda: change_mesh("vertex", "all at 30 %", 0.3 * mesh.vertices, mesh.faces),
+        lambda: change_mesh("vertex", "all 1 mm higher", mesh.vertices + np.array([0.0, 0.0, 1e-3]), mesh.faces),
     ]
     return changes
 
 
-def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> list[str]:
+def undetected(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> list[str]:
     """Return the changes that are not refused and whose field is not in the docs. The folder is restored."""
     free, open_ = free_fields(), []
     for make in changes:
@@ -293,8 +293,8 @@ def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_
     run = Path(shutil.copytree(planned, tmp_path / "run"))
     rng = np.random.default_rng(11)
     changes = all_changes(run, rng, 2)
-    chosen = rng.choice(len(changes), 25, replace=False)
-    assert judged(run, [changes[k] for k in chosen.tolist()], resealed) == []
+    indices = rng.choice(len(changes), 25, replace=False)
+    assert undetected(run, [changes[k] for k in indices.tolist()], resealed) == []
 
 
 def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
@@ -302,12 +302,12 @@ def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path
     run = Path(shutil.copytree(swept, tmp_path / "run"))
     rng = np.random.default_rng(13)
     of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
-    chosen = [
+    sample = [
         *(of_sweeps[k] for k in rng.choice(len(of_sweeps), 5, replace=False).tolist()),
         *(fixtures[k] for k in rng.choice(len(fixtures), 3, replace=False).tolist()),
         *array_changes(run, "motion.npz", rng, 1)[::30],
     ]
-    assert judged(run, chosen, resealed) == []
+    assert undetected(run, sample, resealed) == []
 
 
 @pytest.mark.slow
@@ -318,7 +318,7 @@ def test_every_field_changed_alone_is_refused_or_changes_nothing(
     """Every change of every field of every artefact is tested, for plans with views at rest and with sweeps."""
     run = tmp_path / "run"
     shutil.copytree(request.getfixturevalue(plan), run)
-    assert judged(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []
+    assert undetected(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []
 
 
 def _with_via(run: Path, q: np.ndarray, row: int) -> None:
@@ -361,8 +361,8 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
     _with_via(run, from_steps(to_steps(q)), row)
     digest = resealed(run)
     for command in (("scan", run, "--confirm-motion", digest), ("export", run)):
-        done = run_cell(*command, cwd=tmp_path, code=6)
-        assert re.search(r"motion.npz (violates the clearance|is not certified collision-free)", done.stderr)
+        process = run_cell(*command, cwd=tmp_path, code=6)
+        assert re.search(r"motion.npz (violates the clearance|is not certified collision-free)", process.stderr)
     free = Path(shutil.copytree(planned, tmp_path / "free"))
     via = proven.motion.via_q
     _with_via(free, from_steps(to_steps((via[row - 1] + via[row]) / 2)), row)
@@ -402,8 +402,8 @@ def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
     without = {key: value for key, value in manifest.items() if key != "digest"}
     (run / "manifest.json").write_text(json.dumps(without))
     for command in ("scan", "export"):
-        done = run_cell(command, "run", cwd=tmp_path, code=6)
-        assert "has no digest" in done.stderr
+        process = run_cell(command, "run", cwd=tmp_path, code=6)
+        assert "has no digest" in process.stderr
     assert open_run(run).digest == ""
     run_cell("replay", "run", "--picture", "x.png", "--size", "160x120", cwd=tmp_path, code=0)
     del manifest["artefacts"]["motion.npz"]

@@ -131,9 +131,9 @@ def test_distances_lie_between_those_of_inner_and_outer_prisms(world: World, fcl
     q = np.random.default_rng(0).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     distance, _ = checker.distance(q)
     beside = np.flatnonzero((distance > -0.01) & (distance < 0.02))[:90]
-    chosen = np.concatenate([np.arange(60), beside])
+    rows = np.concatenate([np.arange(60), beside])
     apart = 0
-    for i in chosen:
+    for i in rows:
         low, high = fcl_cell.bracket(q[i], 0.05)
         if distance[i] >= 0 and high >= 0:
             assert low - 1e-5 <= min(distance[i], 0.05) <= high + 1e-5
@@ -150,13 +150,13 @@ def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCel
     q = np.random.default_rng(1).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     distance, _ = checker.distance(q)
     beside = np.flatnonzero(np.abs(distance - checker.clearance) < 0.015)
-    chosen = np.concatenate([np.arange(120), beside[:240]])
-    free = checker.free(q[chosen])
+    rows = np.concatenate([np.arange(120), beside[:240]])
+    free = checker.free(q[rows])
     decided = 0
-    for verdict, configuration in zip(free, q[chosen], strict=True):
+    for verdict, configuration in zip(free, q[rows], strict=True):
         low, high = fcl_cell.bracket(configuration, 0.03)
         if (low >= checker.clearance + 1e-5) or (high < checker.clearance - 1e-5):
             decided += 1
             assert verdict == (low >= checker.clearance)
-    assert decided > 0.95 * len(chosen)
+    assert decided > 0.95 * len(rows)
     assert 0.2 < free.mean() < 0.8

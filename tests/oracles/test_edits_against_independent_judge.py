@@ -37,28 +37,28 @@ def judge(run: Run) -> EditJudge:
 def test_random_edits(seed: int, run: Run, judge: EditJudge, tmp_path: Path) -> None:
     """The judge has no finding, and the reported differences from the earlier plan agree with the files."""
     requests = random_edit(np.random.default_rng(seed), run)
-    made, refusal = None, None
+    result, refusal = None, None
     try:
-        made = edit(run, out=tmp_path / "edited", **requests.options)
+        result = edit(run, out=tmp_path / "edited", **requests.options)
     except CellError as error:
         refusal = error
-    if made is None:
+    if result is None:
         assert refusal is not None
         assert judge.refused(requests, refusal) == [], str(refusal)
         return
     assert not requests.wrong
-    assert judge.accepted(run, requests, made) == []
-    found, _ = recounted(compare_runs(run.folder, made.folder, LoggedProgress()))
+    assert judge.accepted(run, requests, result) == []
+    found, _ = recounted(compare_runs(run.folder, result.folder, LoggedProgress()))
     assert found == []
 
 
 def test_the_judge_finds_errors(run: Run, judge: EditJudge, tmp_path: Path) -> None:
     """The judge reports an edit that differs from its request, and refusals with a false reason."""
-    made = edit(run, out=tmp_path / "edited", drop=[1])
-    kept, away = RandomEdit({}), np.eye(4)
-    assert any("lost" in each for each in judge.accepted(run, kept, made))
-    turned = replace(kept, poses={"view 2": run.T_base_scanner[1] @ np.diag([-1.0, -1.0, 1.0, 1.0])})
-    assert any("from the requested position" in each for each in judge.accepted(run, turned, made)[:1])
+    result = edit(run, out=tmp_path / "edited", drop=[1])
+    no_change, away = RandomEdit({}), np.eye(4)
+    assert any("lost" in each for each in judge.accepted(run, no_change, result))
+    turned = replace(no_change, poses={"view 2": run.T_base_scanner[1] @ np.diag([-1.0, -1.0, 1.0, 1.0])})
+    assert any("from the requested position" in each for each in judge.accepted(run, turned, result)[:1])
     away[:3, 3] = 9.0
     for output, pose, found in (
         ("is out of the arm's reach", run.T_base_scanner[1], "solutions"),
@@ -67,4 +67,4 @@ def test_the_judge_finds_errors(run: Run, judge: EditJudge, tmp_path: Path) -> N
     ):
         message = UnreachableError(f"view 2 cannot be used: it {output}; move it to another pose, or drop it")
         assert found in judge.refused(RandomEdit({}, {"view 2": pose}), message)[0]
-    assert judge.refused(replace(kept, wrong="view 2 twice"), UsageError("no view is left"))
+    assert judge.refused(replace(no_change, wrong="view 2 twice"), UsageError("no view is left"))

@@ -51,9 +51,9 @@ def test_a_straight_sweep_measures_a_rectangle(fan: float, length: float, steps:
     x, y, _ = samples.points.T
     half = HEIGHT * np.tan(np.radians(fan / 2))
     assert (row == ((np.abs(x) <= length / 2000) & (np.abs(y) <= half))).all()
-    wanted = length / 1000 * 2 * half
+    expected = length / 1000 * 2 * half
     ring = 2 * np.sqrt(samples.areas[0]) * (length / 1000 + 2 * half)
-    assert abs(samples.areas[row].sum() - wanted) <= ring
+    assert abs(samples.areas[row].sum() - expected) <= ring
     assert 0 < row.sum() < len(row) / 2
 
 
@@ -71,11 +71,11 @@ def test_a_turned_sweep_measures_a_bow_tie_cut_by_the_range(steps: int) -> None:
     cell = np.radians(angle) / steps
     pose = np.clip(np.floor(towards / cell + steps / 2), 0, steps - 1)
     depth = np.hypot(x, HEIGHT) * np.cos(towards - (pose + 0.5 - steps / 2) * cell)
-    wanted = (np.abs(towards) <= np.radians(angle / 2)) & (np.abs(y) <= np.tan(np.radians(fan / 2)) * depth)
-    wanted &= depth <= far
+    expected = (np.abs(towards) <= np.radians(angle / 2)) & (np.abs(y) <= np.tan(np.radians(fan / 2)) * depth)
+    expected &= depth <= far
     edge = np.isclose(np.abs(towards / cell + steps / 2) % 1, 0, atol=1e-6)
     assert not edge.any(), "the test's own samples must not lie between two poses"
-    assert (row == wanted).all()
+    assert (row == expected).all()
     assert row.any()
     assert not row.all()
 
@@ -99,12 +99,14 @@ def test_a_wall_along_the_line_casts_its_shadow_away_from_the_sensor_only() -> N
     )
     x, y, _ = samples.points.T
     inside = (np.abs(x) <= length / 2) & (np.abs(y) <= HEIGHT * np.tan(np.radians(15)))
-    beyond = -0.001 - x  # how far a sample lies from the wall, on the side away from the sensor (scanner x is plate x)
+    distance = (
+        -0.001 - x
+    )  # how far a sample lies from the wall, on the side away from the sensor (scanner x is plate x)
     shadow = baseline * wall / HEIGHT
     blur = length / steps / 2 * wall / HEIGHT + 1e-9  # a pose is up to half a step off its sample
     row = _row(M)
-    hidden = (beyond >= 0) & (beyond <= shadow - blur)
-    lit = (beyond >= shadow + blur) | (x >= 0.001 + blur)
+    hidden = (distance >= 0) & (distance <= shadow - blur)
+    lit = (distance >= shadow + blur) | (x >= 0.001 + blur)
     assert (inside & hidden).sum() > 100
     assert not row[inside & hidden].any()
     assert row[inside & lit].all()

@@ -147,9 +147,9 @@ def test_no_contact_is_missed_and_nothing_is_refused_falsely(worlds: dict[str, W
     assert (free | blocked).mean() > 0.98
     assert free.sum() > 400
     assert blocked.sum() > 400
-    judged = MujocoCollisionChecker(world).free(q)
-    assert (judged & blocked).sum() == 0
-    assert (~judged & free).sum() == 0
+    is_free = MujocoCollisionChecker(world).free(q)
+    assert (is_free & blocked).sum() == 0
+    assert (~is_free & free).sum() == 0
     of_hull = MujocoCollisionChecker(worlds["hull"]).free(q)
     assert (of_hull & blocked).sum() == 0
     assert (~of_hull & free).sum() > 200

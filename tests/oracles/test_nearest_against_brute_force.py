@@ -127,8 +127,8 @@ def test_sign_on_a_closed_mesh_is_inside_or_outside() -> None:
     half = np.array([0.05, 0.1, 0.025])
     nearest = ClosestPointQuery(as_triangles(MESHES["box of 12 faces"]))
     points = np.random.default_rng(3).uniform(-2, 2, (3000, 3)) * half
-    beyond = np.abs(points) - half
-    exact = np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
+    excess = np.abs(points) - half
+    exact = np.linalg.norm(np.maximum(excess, 0), axis=1) + np.minimum(excess.max(axis=1), 0)
     np.testing.assert_allclose(nearest.signed_distance(points), exact, atol=1e-12)
 
 

@@ -272,15 +272,15 @@ def test_fixed_orders_have_the_best_configurations(seed: int) -> None:
     rng = np.random.default_rng(seed)
     moves = TourProblem.straight([rng.uniform(-2, 2, (2, 6)) for _ in range(5)], np.zeros(6), UNIT_LIMITS)
     problem = moves.instance()
-    for given in ([3, 0, 4, 1, 2], [3, 0, 4, 1], [2]):
-        found = fixed_order(given)(moves, np.tile(np.eye(4), (5, 1, 1)), rng, bound_effort=None)
-        assert [view for view in found.order if view in given] == given
+    for prefix in ([3, 0, 4, 1, 2], [3, 0, 4, 1], [2]):
+        found = fixed_order(prefix)(moves, np.tile(np.eye(4), (5, 1, 1)), rng, bound_effort=None)
+        assert [view for view in found.order if view in prefix] == prefix
         assert sorted(found.order) == list(range(5))
         choices = np.stack(np.meshgrid(*[[0, 1]] * 5), axis=-1).reshape(-1, 5)
         tours = [[0, *(1 + 2 * found.order + choice)] for choice in choices]
         assert found.duration == pytest.approx(min(problem.length(np.array(tour)) for tour in tours))
-        orders = [o for o in itertools.permutations(range(5)) if [v for v in o if v in given] == given]
+        orders = [o for o in itertools.permutations(range(5)) if [v for v in o if v in prefix] == prefix]
         best = min(gtsp.best_nodes(problem, np.array(order) + 1)[0] for order in orders)
         assert found.duration >= best - 1e-9
-        if len(given) > 3:
+        if len(prefix) > 3:
             assert found.duration == pytest.approx(best)

@@ -145,9 +145,9 @@ def test_no_ray_slips_through_a_shared_edge(scene, inside):
     np.testing.assert_allclose(
         hits.distance, np.minimum(exact, length), atol=5e-7
     )  # the oracle itself may miss an edge
-    beyond = inside + legs * 3
-    assert caster.blocked(origins, beyond).all()
-    assert caster.blocked(beyond, origins).all()
+    outside = inside + legs * 3
+    assert caster.blocked(origins, outside).all()
+    assert caster.blocked(outside, origins).all()
 
 
 def test_hardly_a_ray_slips_through_a_vertex(scene):

@@ -26,7 +26,7 @@ from tests.support.krl_language import run_krl, straight_line
 from tests.support.robot_languages import run_ls, run_rapid, run_urscript
 from tests.support.robot_programs import HOME, Robot, prompt_scanner, sweeping_program
 
-TRIGGER, GATE, DONE = 7, 6, 5
+TRIGGER, GATE, ANSWER = 7, 6, 5
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Language:
     run: Callable[[dict[str, bytes], Robot], None]
     trigger: int
     gate: int
-    done: int
+    answer: int
     tolerance: float
 
     def files(self, program: Program, speed_percent: int = 20) -> dict[str, bytes]:
         """Return the files of a program with a time-out of 2.5 s."""
-        signals = ExportOptions(trigger_output=TRIGGER, gate_output=GATE, done_input=DONE, timeout=2.5)
+        signals = ExportOptions(trigger_output=TRIGGER, gate_output=GATE, done_input=ANSWER, timeout=2.5)
         return self.write(program.info.name, [program], [ProgramSettings(speed_percent, 100, signals)])
 
     def written(self, q: np.ndarray) -> np.ndarray:
@@ -60,10 +60,10 @@ class Language:
 
 LANGUAGES = {
     "rapid": Language(rapid.files, run_rapid, 7, 9, 8, 1e-9),
-    "urscript": Language(urscript.files, run_urscript, TRIGGER, GATE, DONE, 1e-9),
-    "ls": Language(fanuc.files, run_ls, TRIGGER, GATE, DONE, 5.0001e-4),
+    "urscript": Language(urscript.files, run_urscript, TRIGGER, GATE, ANSWER, 1e-9),
+    "ls": Language(fanuc.files, run_ls, TRIGGER, GATE, ANSWER, 5.0001e-4),
 }
-KRL = Language(krl.files, run_krl, TRIGGER, GATE, DONE, 1e-9)
+KRL = Language(krl.files, run_krl, TRIGGER, GATE, ANSWER, 1e-9)
 
 
 @pytest.fixture(params=LANGUAGES)
@@ -86,14 +86,14 @@ def test_the_program_drives_the_planned_via_points_and_scans_each_view_once(
     language: Language, program: Program, planned: Path
 ) -> None:
     """All joint targets to the written digits, in order; the planned time stretched to the share of the speed."""
-    robot = Robot(language.home, prompt_scanner(language.trigger, language.done))
+    robot = Robot(language.home, prompt_scanner(language.trigger, language.answer))
     scanned: list[list[float]] = []
     answer = robot.scanner
 
     def scanner(robot: Robot) -> None:
-        before = robot.inputs.get(language.done, False)
+        before = robot.inputs.get(language.answer, False)
         answer(robot)
-        if robot.inputs[language.done] and not before:
+        if robot.inputs[language.answer] and not before:
             scanned.append(list(robot.axes))
 
     robot.scanner = scanner
@@ -114,7 +114,7 @@ def test_a_silent_scanner_halts_the_program_and_a_jogged_arm_halts_it_again(
     language: Language, program: Program
 ) -> None:
     """Time-out: trigger off, halt; no motion and no trigger until every axis is back; then the view is repeated."""
-    silent, prompt = [True], prompt_scanner(language.trigger, language.done)
+    silent, prompt = [True], prompt_scanner(language.trigger, language.answer)
     stood: list[tuple[int, list[float]]] = []
 
     def operator(robot: Robot) -> None:
@@ -153,7 +153,7 @@ def test_nothing_moves_away_from_home(language: Language, program: Program, axis
         halts.append(robot.now)
         robot.axes = language.home
 
-    language.run(language.files(program), Robot(start, prompt_scanner(language.trigger, language.done), operator))
+    language.run(language.files(program), Robot(start, prompt_scanner(language.trigger, language.answer), operator))
     assert len(halts) == 1
 
 
@@ -166,7 +166,7 @@ def test_a_stuck_answer_is_not_used_for_the_next_view(language: Language, progra
     def operator(robot: Robot) -> None:
         raise StopHereError
 
-    robot = Robot(language.home, lambda robot: robot.inputs.__setitem__(language.done, True), operator)
+    robot = Robot(language.home, lambda robot: robot.inputs.__setitem__(language.answer, True), operator)
     with pytest.raises(StopHereError):
         language.run(language.files(program), robot)
     assert not any(name == f"OUT{language.trigger}=True" for name, _ in robot.events)
@@ -176,7 +176,7 @@ def test_a_stuck_answer_is_not_used_for_the_next_view(language: Language, progra
 def test_a_sweep_is_one_line_between_trigger_and_answer_and_is_repeated(language: Language) -> None:
     """Line with gate; after a time-out a halt, the line back, the same line again; at most the planned speed."""
     program, (_, paths, _, _) = sweeping_program()
-    silent, prompt = [True], prompt_scanner(language.trigger, language.done)
+    silent, prompt = [True], prompt_scanner(language.trigger, language.answer)
 
     def operator(robot: Robot) -> None:
         silent[0] = False
@@ -206,12 +206,12 @@ def test_several_set_ups_are_one_program_that_halts_before_each(language: Langua
     """The operator places the part at each halt."""
     from dataclasses import replace
 
-    settings = ProgramSettings(20, 30, ExportOptions(trigger_output=TRIGGER, gate_output=GATE, done_input=DONE))
+    settings = ProgramSettings(20, 30, ExportOptions(trigger_output=TRIGGER, gate_output=GATE, done_input=ANSWER))
     both = [replace(program, info=replace(program.info, name=f"BOTH_{number}")) for number in (1, 2)]
     halts: list[int] = []
     robot = Robot(
         language.home,
-        prompt_scanner(language.trigger, language.done),
+        prompt_scanner(language.trigger, language.answer),
         lambda robot: halts.append(len(robot.moves)),
     )
     language.run(language.write("BOTH", both, [settings, settings]), robot)
@@ -224,7 +224,7 @@ def test_axis_3_of_fanuc_counts_against_the_horizontal(program: Program) -> None
     from dataclasses import replace
 
     opposite = replace(program, cos_axes_2_3=-1.0)
-    robot = Robot([0.0, -90.0, 180.0, 0.0, 90.0, 0.0], prompt_scanner(TRIGGER, DONE))
+    robot = Robot([0.0, -90.0, 180.0, 0.0, 90.0, 0.0], prompt_scanner(TRIGGER, ANSWER))
     LANGUAGES["ls"].run(LANGUAGES["ls"].files(opposite), robot)
     q = np.degrees(program.q)
     np.testing.assert_allclose(_axes(robot)[:, 2], q[:, 2] - q[:, 1], atol=5.0001e-4)
@@ -275,7 +275,7 @@ def require_planned_targets(language: Language, program: Program) -> None:
     1e-3 mm and 1e-4 deg; its axes may differ by `AT_STOP_DEG`, at which the program would halt.
     """
     kinematics = kr16_kinematics()
-    robot = Robot(language.home, prompt_scanner(language.trigger, language.done), line=straight_line(kinematics))
+    robot = Robot(language.home, prompt_scanner(language.trigger, language.answer), line=straight_line(kinematics))
     language.run(language.files(program), robot)
     passed = {row for sweep in program.sweeps for row in range(sweep.begin + 1, sweep.end)}
     rows = [row for row in range(len(program.q)) if row not in passed]  # a line is one motion

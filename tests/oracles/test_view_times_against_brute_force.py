@@ -19,8 +19,8 @@ def tour_time(q: list[np.ndarray]) -> float:
     """Return the shortest closed tour from home through one configuration of each view, by enumeration."""
     best = np.inf
     for order in permutations(range(len(q))):
-        for chosen in product(*(q[k] for k in order)):
-            stops = np.array([HOME, *chosen, HOME])
+        for configurations in product(*(q[k] for k in order)):
+            stops = np.array([HOME, *configurations, HOME])
             best = min(best, float(move_time(stops[:-1], stops[1:], LIMITS).sum()))
     return best
 

@@ -150,7 +150,7 @@ def test_running_numbers_of_a_search_equal_those_computed_from_scratch(
     assert set(state.columns[search.MEMBER, : numbers[search.MEMBERS]].tolist()) == selected
     uncovered = state.rows[search.OPEN_ROW, : numbers[search.OPEN]]
     assert sorted(uncovered.tolist()) == np.flatnonzero(deficit).tolist()
-    assert numbers[search.SPENT] == instance.cost(sorted(selected))
+    assert numbers[search.TOTAL_COST] == instance.cost(sorted(selected))
     assert numbers[search.MISSING] == int(instance.units[deficit > 0].sum())
 
 
@@ -158,9 +158,9 @@ def test_draws_are_even_and_in_range() -> None:
     """In ten thousand draws of seven numbers none is out of range, and all are about equally frequent."""
     instance = canonical_form(CoverProblem(np.eye(2, dtype=bool), np.ones(2))).reduced
     state = LocalSearch(instance, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
-    drawn = np.bincount([search.draw(state.random, 7) for _ in range(10_000)], minlength=7)
-    assert len(drawn) == 7
-    assert abs(drawn - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
+    counts = np.bincount([search.draw(state.random, 7) for _ in range(10_000)], minlength=7)
+    assert len(counts) == 7
+    assert abs(counts - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
 
 
 @pytest.mark.parametrize("seed", [113])

@@ -64,7 +64,7 @@ def _selected(
 ) -> tuple[float, int]:
     """Return the share of the coverable held-out samples that the selected views measure, and their number."""
     plan = problem.request.plan.model_copy(update={"coverage": target})
-    asked = replace(problem, request=replace(problem.request, plan=plan))
+    request = replace(problem, request=replace(problem.request, plan=plan))
     rng, fresh = session.rng(Stream.SELECTION), session.rng(Stream.FRESH_SAMPLES)
-    views = select_with_row_generation(asked, surface, rng, fresh)[1].cover.views
+    views = select_with_row_generation(request, surface, rng, fresh)[1].cover.views
     return problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[views]), len(views)

@@ -26,12 +26,12 @@ class Case:
         self.q = [rng.uniform(-3, 3, (int(rng.integers(1, 4)), 6)) for _ in range(60)]
         usable = np.flatnonzero(self.usable)
         self.required = np.minimum(self.M[:, usable].sum(axis=1), 1)
-        chosen: list[int] = []
-        while (self.M[:, chosen].sum(axis=1) < self.required).any():
-            missing = self.M[:, chosen].sum(axis=1) < self.required
-            gain = [self.M[missing, v].sum() if v not in chosen else -1 for v in usable]
-            chosen.append(int(usable[int(np.argmax(gain))]))
-        self.views = np.array(chosen)
+        selection: list[int] = []
+        while (self.M[:, selection].sum(axis=1) < self.required).any():
+            missing = self.M[:, selection].sum(axis=1) < self.required
+            gain = [self.M[missing, v].sum() if v not in selection else -1 for v in usable]
+            selection.append(int(usable[int(np.argmax(gain))]))
+        self.views = np.array(selection)
 
     def exchanged(self, **arguments: object) -> ViewExchange:
         """Exchange the views with these arguments."""

@@ -16,8 +16,8 @@ _MODEL = TriangleMesh(_BOX.vertices, _BOX.faces)
 _POSES = st.tuples(st.integers(0, 2**31), st.floats(0, 3), st.floats(-0.5, 0.5))
 
 
-def _pose(drawn: tuple[int, float, float]) -> np.ndarray:
-    seed, angle, shift = drawn
+def _pose(parameters: tuple[int, float, float]) -> np.ndarray:
+    seed, angle, shift = parameters
     axis = np.random.default_rng(seed).normal(size=3)
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
@@ -30,9 +30,9 @@ def _placed(mesh: TriangleMesh, T: np.ndarray) -> TriangleMesh:
 
 
 @given(_POSES)
-def test_distances_do_not_change_with_the_frame(drawn: tuple[int, float, float]) -> None:
+def test_distances_do_not_change_with_the_frame(parameters: tuple[int, float, float]) -> None:
     """Signed distances of points stay the same when mesh and points move together."""
-    T = _pose(drawn)
+    T = _pose(parameters)
     points = np.random.default_rng(0).uniform(-0.06, 0.06, (200, 3))
     here, there = ClosestPointQuery(_MODEL), ClosestPointQuery(_placed(_MODEL, T))
     moved = points @ T[:3, :3].T + T[:3, 3]
@@ -41,9 +41,9 @@ def test_distances_do_not_change_with_the_frame(drawn: tuple[int, float, float])
 
 @settings(max_examples=settings.default.max_examples // 4)
 @given(_POSES)
-def test_corrections_move_with_the_frame(drawn: tuple[int, float, float]) -> None:
+def test_corrections_move_with_the_frame(parameters: tuple[int, float, float]) -> None:
     """Registering everything in another frame gives the same correction, written in that frame."""
-    T = _pose(drawn)
+    T = _pose(parameters)
     rng = np.random.default_rng(1)
     top = np.stack([rng.uniform(-0.029, 0.029, 500), rng.uniform(-0.019, 0.019, 500), np.full(500, 0.015)], axis=1)
     side = np.stack([np.full(300, 0.03), rng.uniform(-0.019, 0.019, 300), rng.uniform(-0.014, 0.014, 300)], axis=1)

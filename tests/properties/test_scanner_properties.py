@@ -86,7 +86,7 @@ def test_sigma_grows_with_noise_and_shrinks_with_the_baseline_on_the_axis(z, til
 
 
 def test_an_arm_never_adds_a_sample_and_occludes_only_its_own_view():
-    """`own` occluders: the rows of views with their own caster equal those of a common one, view by view."""
+    """The rows of views with their own caster (`own_occluders`) equal those of a common one, view by view."""
     ball = trimesh.creation.icosphere(2, 0.05)
     part = TriangleMesh(ball.vertices, ball.faces)
     caster = EmbreeRayCaster(part.vertices, part.faces)
@@ -102,11 +102,11 @@ def test_an_arm_never_adds_a_sample_and_occludes_only_its_own_view():
     own[0] = None
     T = views.T_object_scanner
     free = find_measured(T, samples, scanner, (caster,), each=True)
-    hidden = find_measured(T, samples, scanner, (caster,), each=True, own=own)
+    hidden = find_measured(T, samples, scanner, (caster,), each=True, own_occluders=own)
     assert (free | ~hidden).all()
     np.testing.assert_array_equal(free[:, 0], hidden[:, 0])
     for view in range(1, len(T)):
         alone = find_measured(T[[view]], samples, scanner, (caster, own[view]))
         np.testing.assert_array_equal(hidden[:, view], alone)
         assert hidden[:, view].sum() < free[:, view].sum()
-    np.testing.assert_array_equal(find_measured(T, samples, scanner, (caster,), own=own), hidden.any(axis=1))
+    np.testing.assert_array_equal(find_measured(T, samples, scanner, (caster,), own_occluders=own), hidden.any(axis=1))

@@ -85,7 +85,7 @@ def test_a_closed_void_is_occluded_by_the_part_and_no_change_helps(answer: Analy
     np.testing.assert_array_equal(np.flatnonzero(inside), group.rows)
     area = 2 * (0.04 * 0.03 + 0.04 * 0.012 + 0.03 * 0.012)
     np.testing.assert_allclose(answer.samples.areas[group.rows].sum(), area, rtol=0.01)
-    assert group.named == ()
+    assert group.changes == ()
     assert [row[3] for row in explain.table_rows(explain.why_report(answer, _NO_RUN)) if "part" in row[0]] == [
         explain.NO_CHANGE
     ]
@@ -106,8 +106,10 @@ def test_the_surface_under_the_clamp_is_gained_without_it(answer: Analysis) -> N
         points = answer.samples.points[group.rows]
         assert (points[:, 2] > 0.0199).all()
         assert (np.abs(points[:, :2] - [0.02, 0]) < [0.03, 0.025]).all()
-        without = [named for named in group.named if named.change.kind is ChangeKind.FIXTURE]
-        assert [named.change.sentence for named in without] == ["without fixture clamp"]
+        without = [
+            recommendation for recommendation in group.changes if recommendation.change.kind is ChangeKind.FIXTURE
+        ]
+        assert [recommendation.change.sentence for recommendation in without] == ["without fixture clamp"]
         assert without[0].gained[group.rows].all()
         return
     pytest.fail("the clamp occludes nothing")
@@ -117,7 +119,7 @@ def test_sides_out_of_reach_and_views_that_are_not_needed_are_distinguished(answ
     """The far side is out of reach; below full coverage some surface only needs one more view."""
     assert (answer.samples.points[_group(answer, Reason.OUT_OF_REACH, "").rows, 0] > -0.0499).any()
     waiting = _group(answer, Reason.NOT_SELECTED, "")
-    assert {named.change.kind for named in waiting.named} == {ChangeKind.VIEW}
+    assert {recommendation.change.kind for recommendation in waiting.changes} == {ChangeKind.VIEW}
     assert answer.share(waiting.rows) > 0.02
 
 
@@ -157,10 +159,10 @@ def test_every_named_change_measures_the_claimed_share(answer: Analysis, run: Ru
     limits = dict(run.scene.scanner.own)
     seen = set()
     for group in answer.groups:
-        changes = [*((named, group.rows) for named in group.named)]
-        changes += [(patch.named, patch.rows) for patch in group.patches if patch.named is not None]
-        for named, rows in changes:
-            change = named.change
+        changes = [*((recommendation, group.rows) for recommendation in group.changes)]
+        changes += [(patch.change, patch.rows) for patch in group.patches if patch.change is not None]
+        for recommendation, rows in changes:
+            change = recommendation.change
             options = {"position_mm": place}
             scene = load_scene(path, {"placement": options})
             candidates, parameters = views, dict(limits)
@@ -178,8 +180,8 @@ def test_every_named_change_measures_the_claimed_share(answer: Analysis, run: Ru
                     rolls = np.radians(numbers if change.kind is ChangeKind.ROLL else [0, 90]).tolist()
                     candidates = optimal_scanning_zone(run.mesh("planning.ply"), standoffs, rolls)
                 case ChangeKind.VIEW:
-                    chosen = [int(n) for n in re.findall(r"\d+", change.sentence.split("candidate")[1])]
-                    candidates = Viewpoints(*(getattr(views, name)[chosen] for name in _FIELDS))
+                    indices = [int(n) for n in re.findall(r"\d+", change.sentence.split("candidate")[1])]
+                    candidates = Viewpoints(*(getattr(views, name)[indices] for name in _FIELDS))
                 case ChangeKind.AIMED:
                     T = change.T_object_scanner
                     candidates = Viewpoints(T, np.full(len(T), -1), np.full(len(T), 0.25), np.zeros(len(T)))
@@ -187,8 +189,8 @@ def test_every_named_change_measures_the_claimed_share(answer: Analysis, run: Ru
                     name, value = change.setting.removeprefix("scanner.").split(" = ")
                     parameters[name] = json.loads(value)
             now = _Cell(run, scene).measured(candidates, LaserArea(**parameters), answer)
-            np.testing.assert_array_equal(now[rows] | ~named.gained[rows], True, err_msg=change.sentence)
-            assert named.gained[rows].any()
+            np.testing.assert_array_equal(now[rows] | ~recommendation.gained[rows], True, err_msg=change.sentence)
+            assert recommendation.gained[rows].any()
             seen.add(change.kind)
     assert {ChangeKind.VIEW, ChangeKind.AIMED, ChangeKind.FIXTURE, ChangeKind.TURN} <= seen
 

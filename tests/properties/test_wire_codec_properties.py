@@ -54,7 +54,7 @@ requests = st.one_of(
     st.builds(Take, st.integers(0, 65535)),
     st.builds(Give),
     st.builds(Stage, st.integers(0, 10**6), points()),
-    st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda given: split_move(Move(*given), 12)[1]),
+    st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda arguments: split_move(Move(*arguments), 12)[1]),
     st.builds(Stop),
     st.builds(Reset),
 )

@@ -48,9 +48,9 @@ def test_each_of_a_hundred_thousand_via_points_is_passed_exactly() -> None:
         assert driver.move(points[:20], 1.0).axes.tolist() == points[19].tolist()
     reference = interpolate(HOME_Q, to_rad(points), limits.velocity, limits.acceleration, limits.jerk)
     ends = np.append(reference.begin[7::7], reference.duration)
-    for chosen in (ends[:1000], ends[-1000:]):
-        at_rest, speed, _ = reference.sample(chosen)
-        which = np.searchsorted(ends, chosen)
+    for times in (ends[:1000], ends[-1000:]):
+        at_rest, speed, _ = reference.sample(times)
+        which = np.searchsorted(ends, times)
         assert (from_rad(at_rest) == points[which]).all()
         assert np.abs(speed).max() < 1e-6
 

@@ -114,9 +114,9 @@ def test_the_clearance_is_kept_to_a_micrometre(clearance_mm: float) -> None:
     scene = Scene.model_validate({"clearance_mm": clearance_mm, "post": {"enabled": False}})
     world = compile_world(scene, BALL, baseline_mm=75.0)
     front = world.data().geom("housing").xpos + np.array([0.0, 0.0, -0.03])
-    for beyond, free in ((1e-6, True), (-1e-6, False)):
+    for margin, free in ((1e-6, True), (-1e-6, False)):
         T = np.eye(4)
-        T[:3, 3] = front - [0.0, 0.0, 0.1 + clearance_mm / 1000 + beyond]
+        T[:3, 3] = front - [0.0, 0.0, 0.1 + clearance_mm / 1000 + margin]
         assert MujocoCollisionChecker(world, world.T_base_object_at(T)).free(world.home[None])[0] == free
 
 

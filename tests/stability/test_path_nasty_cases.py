@@ -99,9 +99,9 @@ def test_a_part_that_fills_the_workspace() -> None:
         world.limits,
         np.random.default_rng(0),
     )
-    assert [(lost.view, lost.reason) for lost in tour.dropped] == [
+    assert [(exclusion.view, exclusion.reason) for exclusion in tour.dropped] == [
         (0, DropReason.IN_COLLISION),
         (1, DropReason.IN_COLLISION),
     ]
-    assert all("part" in lost.blocker for lost in tour.dropped)
+    assert all("part" in exclusion.blocker for exclusion in tour.dropped)
     assert len(tour.via) == 1

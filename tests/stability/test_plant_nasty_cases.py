@@ -40,14 +40,14 @@ WITHIN_THE_MARGIN = {
 }
 
 
-def context(settings: PlantSettings, made: list[MujocoPlant] | None = None) -> Context:
-    """Return the context of a plant with these settings; made plants are appended to `made`."""
+def context(settings: PlantSettings, instances: list[MujocoPlant] | None = None) -> Context:
+    """Return the context of a plant with these settings; its plants are appended to `instances`."""
 
     def make(start: np.ndarray) -> Plant:
         plant = plants.built_in_plants(settings)["mujoco"](start)
         assert isinstance(plant, MujocoPlant)
-        if made is not None:
-            made.append(plant)
+        if instances is not None:
+            instances.append(plant)
         return plant
 
     return Context(LIMITS, plants={"mujoco": make})
@@ -90,15 +90,15 @@ def test_the_default_settings_have_a_margin(case: str) -> None:
 
 def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
     """Beyond the following error the fault names the axis, the arm stops, and a reset clears it."""
-    made: list[MujocoPlant] = []
-    with open_driver("sim://?plant=mujoco", context(PlantSettings(), made)) as driver:
-        full = made[0].model.actuator_forcerange.copy()
-        made[0].model.actuator_forcerange[0] /= 10.0
+    instances: list[MujocoPlant] = []
+    with open_driver("sim://?plant=mujoco", context(PlantSettings(), instances)) as driver:
+        full = instances[0].model.actuator_forcerange.copy()
+        instances[0].model.actuator_forcerange[0] /= 10.0
         with pytest.raises(FaultError, match=r"A1 is 0\.5[0-9] deg from its reference"):
             driver.move(GOAL, 1.0)
         stands = driver.state().axes
         assert not (stands == from_rad(HOME)).all()
-        made[0].model.actuator_forcerange[:] = full
+        instances[0].model.actuator_forcerange[:] = full
         driver.reset()
         state = driver.state()
         assert state.mode is Mode.IDLE
@@ -109,10 +109,10 @@ def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
 @pytest.mark.parametrize("poison", ["qpos", "qvel"])
 def test_nan_is_never_reported_as_a_pose(poison: str) -> None:
     """NaN in any part of the state latches the fault; the previous axes stay reported."""
-    made: list[MujocoPlant] = []
-    with open_driver("sim://?plant=mujoco", context(PlantSettings(), made)) as driver:
+    instances: list[MujocoPlant] = []
+    with open_driver("sim://?plant=mujoco", context(PlantSettings(), instances)) as driver:
         before = driver.state().axes
-        getattr(made[0].data, poison)[2] = np.nan
+        getattr(instances[0].data, poison)[2] = np.nan
         with pytest.raises(DriverError, match="not a number"):
             driver.move(GOAL, 1.0)
         state = driver.state()

@@ -87,7 +87,7 @@ def test_a_thin_sheet_is_registered_up_to_half_its_thickness(off_mm: float, stat
     exact = [_sheet(1.0), _sheet(-1.0)]
     inward = [np.array([0.0, 0.0, -np.sign(s.sensor[2]) * off_mm * 1e-3]) for s in exact]
     moved = [ScanCloud(s.points + shift, s.sensor) for s, shift in zip(exact, inward, strict=True)]
-    for before, wanted, one in zip(moved, exact, register(moved, model).scans, strict=True):
+    for before, original, one in zip(moved, exact, register(moved, model).scans, strict=True):
         assert one.status is status
-        error = np.linalg.norm(before.transformed(one.T_correction).points - wanted.points, axis=1).max()
+        error = np.linalg.norm(before.transformed(one.T_correction).points - original.points, axis=1).max()
         assert error < (10e-6 if status is RegistrationStatus.CONVERGED else off_mm * 1.001e-3)

@@ -134,9 +134,9 @@ def test_guarantees_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], fa
     )
     same_side = samples.normals @ planning.normals.T > 0
     nearest = np.where(same_side, to_all, np.inf).min(axis=1)
-    chosen = to_all[np.arange(_SAMPLES), samples.planning_face]
+    distances = to_all[np.arange(_SAMPLES), samples.planning_face]
     comparable = np.isfinite(nearest)
-    assert (chosen[comparable] - nearest[comparable] < 0.05 * extent).all()
+    assert (distances[comparable] - nearest[comparable] < 0.05 * extent).all()
 
     samples_at_centres = samples_at_face_centres(reference, planning)
     assert ((samples_at_centres.face >= 0) & (samples_at_centres.face < len(reference.faces))).all()

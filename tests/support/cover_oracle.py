@@ -37,7 +37,7 @@ class Selections:
             `max_views`, whether its size is allowed.
     """
 
-    def __init__(self, problem: CoverProblem, given: Sequence[Iterable[int]] | None = None) -> None:
+    def __init__(self, problem: CoverProblem, selections: Sequence[Iterable[int]] | None = None) -> None:
         M = _dense(problem)
         n_rows, n_columns = M.shape
         self.problem = problem
@@ -45,12 +45,14 @@ class Selections:
         usable[list(problem.banned)] = False
         self.usable = np.flatnonzero(usable)
         n = len(self.usable)
-        if given is None:
+        if selections is None:
             assert n <= 14, "too many selections"
             self.selected = (np.arange(2**n)[:, None] >> np.arange(n)) & 1 > 0
         else:
-            assert all(usable[list(views)].all() for views in given), "a column is not usable"
-            self.selected = np.array([np.isin(self.usable, list(views)) for views in given]).reshape(len(given), n)
+            assert all(usable[list(views)].all() for views in selections), "a column is not usable"
+            self.selected = np.array([np.isin(self.usable, list(views)) for views in selections]).reshape(
+                len(selections), n
+            )
         self.size = self.selected.sum(axis=1)
         loads = M[:, self.usable]
         available = loads.sum(axis=1)

@@ -33,18 +33,18 @@ class Robot:
         self.scanner(self)
 
 
-def prompt_scanner(output: int = 1, done: int = 1, delay: float = 0.3) -> Callable[[Robot], None]:
+def prompt_scanner(output: int = 1, answer: int = 1, delay: float = 0.3) -> Callable[[Robot], None]:
     """Return a scanner that answers after `delay` seconds and resets the answer when the trigger falls."""
     since: list[float] = []
 
     def scanner(robot: Robot) -> None:
         if not robot.outputs.get(output, False):
             since.clear()
-            robot.inputs[done] = False
+            robot.inputs[answer] = False
         elif not since:
             since.append(robot.now)
         elif robot.now - since[0] >= delay:
-            robot.inputs[done] = True
+            robot.inputs[answer] = True
 
     return scanner
 

@@ -40,8 +40,8 @@ def test_importing_it_imports_nothing_heavy() -> None:
     """Importing `cell.api` imports no heavy package, not even NumPy."""
     heavy = ("numpy", "pydantic", "mujoco", "matplotlib", "rich", "typer", "numba")
     code = f"import sys, cell.api; print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"
 
 
 def test_a_plan_is_a_value_of_arrays(planned: Run) -> None:
@@ -74,9 +74,9 @@ def test_a_result_is_one_line_in_a_terminal_and_a_table_in_a_notebook(planned: R
         f"Run({str(planned.folder)!r}, views {views}, coverage {coverage}, lower bound {planned.bound} views, "
         f"motion {planned.motion.duration:.1f} s)"
     )
-    shown = planned._repr_html_()
-    assert f"<th>views</th><td>{views}</td>" in shown
-    assert b64decode(shown.partition("base64,")[2].partition('"')[0]) == (planned.folder / "cell.png").read_bytes()
+    table = planned._repr_html_()
+    assert f"<th>views</th><td>{views}</td>" in table
+    assert b64decode(table.partition("base64,")[2].partition('"')[0]) == (planned.folder / "cell.png").read_bytes()
     failed = tmp_path / "failed"
     failed.mkdir()
     manifest = {"schema": planned.manifest.schema_version, "status": "failed", "stage": "reach", "reason": "<no>"}
@@ -198,11 +198,11 @@ def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
         "candidates": "optimal-scanning-zone",
     }
     del options["coverage"]
-    done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options)
-    assert [len(stage.q) for stage in done.stages] == [2]
-    assert [stage.digest for stage in done.stages] == [stage.digest for stage in done.file.batches]
-    assert done.mesh is not None
-    assert np.abs(done.mesh.vertices).max() < 0.07
-    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options) == done
+    exploration = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options)
+    assert [len(stage.q) for stage in exploration.stages] == [2]
+    assert [stage.digest for stage in exploration.stages] == [stage.digest for stage in exploration.file.batches]
+    assert exploration.mesh is not None
+    assert np.abs(exploration.mesh.vertices).max() < 0.07
+    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options) == exploration
     with pytest.raises(UsageError, match="is an exploration with other options"):
         explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **{**options, "seed": 4})

@@ -82,15 +82,15 @@ def spoilt(scans: list[ExecutedScan], cause: str) -> list[ExecutedScan]:
     found = []
     for scan, points in zip(scans, raw, strict=True):
         T = scan.T_reported
-        given = points @ T[:3, :3].T + T[:3, 3]
+        in_base = points @ T[:3, :3].T + T[:3, 3]
         found.append(
-            ExecutedScan(scan.stop, scan.view, scan.q_commanded, scan.q_reported, T, T[None], None, None, given, None,
+            ExecutedScan(scan.stop, scan.view, scan.q_commanded, scan.q_reported, T, T[None], None, None, in_base, None,
                          "files", "scanner")
         )  # fmt: skip
     return found
 
 
-def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
+def report_causes(part: workpiece.Workpiece) -> dict[str, list[str]]:
     """Return the reported sentences for each cause, and for scans without an error."""
     scans, cell, nearest = scans_of(part)
     return {
@@ -103,7 +103,7 @@ def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
 )
 def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
     """Each cause is named despite noise and pose errors, and correct scans are not reported."""
-    output = named(workpiece.load(name))
+    output = report_causes(workpiece.load(name))
     assert output.pop("") == []
     if name == "humerus":
         assert output.pop("swapped") == []

@@ -67,12 +67,12 @@ def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "beyond"), [(2200, False), (2270, False), (2300, True), (9000, True)]
+    ("x", "is_outside"), [(2200, False), (2270, False), (2300, True), (9000, True)]
 )  # 1610.9 + 278 + the standoff of 300 + the ball's radius of 100 = 2288.9
-def test_a_part_out_of_reach_is_a_problem(ball: dict, x: float, beyond: bool) -> None:
+def test_a_part_out_of_reach_is_a_problem(ball: dict, x: float, is_outside: bool) -> None:
     """A part beyond arm, tool and standoff is reported as out of reach."""
     result = check_scene(Scene.model_validate({"part": ball, "placement": {"position_mm": [x, 0, 500]}}))
-    assert any("out of reach" in problem for problem in result.problems) == beyond
+    assert any("out of reach" in problem for problem in result.problems) == is_outside
 
 
 def test_a_missing_mesh_of_a_fixture_is_an_error_of_the_file(tmp_path: Path) -> None:

@@ -52,8 +52,8 @@ def test_the_second_process_compiles_the_kernels_of_selection_and_ordering(tmp_p
 
     def compiled_modules(code: str) -> set[str]:
         command = [sys.executable, "-c", _LATE + code]
-        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, cwd=tmp_path)
-        return {line for line in done.stdout.splitlines() if line.startswith(("planner.", "cell."))}
+        process = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, cwd=tmp_path)
+        return {line for line in process.stdout.splitlines() if line.startswith(("planner.", "cell."))}
 
     late = compiled_modules("from planner.first_use import compile_late_kernels; compile_late_kernels()")
     assert {"planner.cover.search", "planner.tour.ruin_and_recreate"} <= late
@@ -71,8 +71,8 @@ share_compilation()
 sys.executable = "/missing/python"
 """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", code + _CALL], env=environment, check=True, capture_output=True)
-    assert b"compiling inner loops" in done.stderr
+    process = subprocess.run([sys.executable, "-c", code + _CALL], env=environment, check=True, capture_output=True)
+    assert b"compiling inner loops" in process.stderr
 
 
 def test_the_first_compilation_calls_functions(tmp_path):

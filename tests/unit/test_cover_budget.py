@@ -89,8 +89,8 @@ def test_nothing_is_imported_if_the_reductions_leave_nothing() -> None:
 def test_highs_is_silent() -> None:
     """HiGHS prints nothing, because standard output belongs to the command; some releases print a banner."""
     program = "from planner.cover import bounds; bounds._highs().run()"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("", "")
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert (process.stdout, process.stderr) == ("", "")
 
 
 def test_answers_are_read_only_and_have_sentences() -> None:

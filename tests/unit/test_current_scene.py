@@ -136,20 +136,20 @@ def test_the_files_of_the_manifest_are_looked_at_again(
     (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
 
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[1100, 400, 100]", "[1100, 401, 100]"))
-    done = run_cell("export", "run", cwd=tmp_path, code=2)
-    assert "the placement differs from the plan" in done.stderr
-    done = run_cell("export", "run", "--accept-changed-scene", "placement", cwd=tmp_path, code=0)
-    assert "the placement differs" in done.stderr
+    process = run_cell("export", "run", cwd=tmp_path, code=2)
+    assert "the placement differs from the plan" in process.stderr
+    process = run_cell("export", "run", "--accept-changed-scene", "placement", cwd=tmp_path, code=0)
+    assert "the placement differs" in process.stderr
 
     (tmp_path / "cell.toml").write_text(_SCENE)
     (tmp_path / "clamp.stl").write_bytes(b"solid")
     assert "fixture:clamp" in run_cell("scan", "run", cwd=tmp_path).stderr
     (tmp_path / "clamp.stl").unlink()
-    done = run_cell("export", "run", cwd=tmp_path, code=0)
-    assert f"{tmp_path / 'clamp.stl'} is missing" in done.stderr
+    process = run_cell("export", "run", cwd=tmp_path, code=0)
+    assert f"{tmp_path / 'clamp.stl'} is missing" in process.stderr
     word = ("--confirm-motion", manifest["digest"], "--driver", "modbus://127.0.0.1:1")
-    done = run_cell("scan", "run", *word, cwd=tmp_path, code=2)
-    assert "--accept-changed-scene missing" in done.stderr
+    process = run_cell("scan", "run", *word, cwd=tmp_path, code=2)
+    assert "--accept-changed-scene missing" in process.stderr
     run_cell("scan", "run", *word, "--accept-changed-scene", "missing", cwd=tmp_path, code=5)
     assert not (tmp_path / "run/executions").exists()
 

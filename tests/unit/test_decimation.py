@@ -86,9 +86,9 @@ def test_a_ball_stays_a_ball():
     ball = trimesh.creation.icosphere(subdivisions=6, radius=0.05)
     copy = cluster_vertices(TriangleMesh(ball.vertices, ball.faces), 8000)
     assert 5000 < len(copy.faces) < 10_000
-    made = trimesh.Trimesh(copy.vertices, copy.faces, process=False)
-    assert made.is_watertight
-    assert made.volume == pytest.approx(ball.volume, rel=0.01)
+    copy_mesh = trimesh.Trimesh(copy.vertices, copy.faces, process=False)
+    assert copy_mesh.is_watertight
+    assert copy_mesh.volume == pytest.approx(ball.volume, rel=0.01)
     side = np.sqrt(3 * ball.area / 8000)
     assert np.abs(np.linalg.norm(copy.vertices, axis=1) - 0.05).max() < side * np.sqrt(3) / 2
     planning = decimate(copy, 900)

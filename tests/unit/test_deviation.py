@@ -94,17 +94,17 @@ def test_rounded_edges_are_left_out_of_the_numbers_and_stated_beside_them() -> N
     assert everywhere.rms == pytest.approx(result.with_edges.rms)
 
 
-@pytest.mark.parametrize(("beyond", "is_left_out"), [(0.006, True), (0.009, False)])
-def test_a_surface_that_runs_on_beyond_an_edge_is_left_out(beyond: float, is_left_out: bool) -> None:
+@pytest.mark.parametrize(("overhang", "is_left_out"), [(0.006, True), (0.009, False)])
+def test_a_surface_that_runs_on_beyond_an_edge_is_left_out(overhang: float, is_left_out: bool) -> None:
     """An overhang is an error of the surface up to twice the band of 4 mm; a longer one is an error of the part."""
-    x = 0.05 + beyond
+    x = 0.05 + overhang
     plate = TriangleMesh(
         [[-0.04, -0.04, 0.05], [x, -0.04, 0.05], [x, 0.04, 0.05], [-0.04, 0.04, 0.05]], [[0, 1, 2], [0, 2, 3]]
     )
     result = measure_deviation(plate, REFERENCE, np.random.default_rng(4), count=20_000, edge_band=0.004)
     assert result.with_edges is not None
-    assert result.with_edges.largest == pytest.approx(beyond, abs=1e-9)
-    assert result.largest == pytest.approx(0.0 if is_left_out else beyond, abs=1e-9)
+    assert result.with_edges.largest == pytest.approx(overhang, abs=1e-9)
+    assert result.largest == pytest.approx(0.0 if is_left_out else overhang, abs=1e-9)
 
 
 def test_points_of_sharp_edges_are_those_of_a_box_and_none_of_a_sphere() -> None:

@@ -67,11 +67,11 @@ def test_a_mesh_in_memory_is_a_users_part() -> None:
 
 def test_a_named_device_is_used_and_keys_of_the_scene_take_precedence() -> None:
     """A named device is used without a note, and each key of the scene replaces its value."""
-    named = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
-    scene = settle_scene(named, _box(500.0))
+    scene_with_names = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
+    scene = settle_scene(scene_with_names, _box(500.0))
     assert _hardware(scene) == (HARDWARE[MEDIUM][0], 30.0, HARDWARE[MEDIUM][2])
     assert scene.housing.bracket_diameter_mm == 0.0
-    assert not notes(named, _box(500.0))
+    assert not notes(scene_with_names, _box(500.0))
 
 
 @pytest.mark.parametrize("scanner", [{}, {"sensor": "paper"}, {"sensor": "gocator-2340", "baseline_mm": 100.0}])

@@ -51,9 +51,9 @@ def test_every_picture_is_shown() -> None:
 
 def test_every_picture_is_drawn_by_a_command() -> None:
     """`python -m benchmarks pictures` makes every picture of docs/images."""
-    from benchmarks.methods.pictures import IMAGES, MADE
+    from benchmarks.methods.pictures import GROUPS, IMAGES
 
-    assert {path.name for path in IMAGES.iterdir()} == set(MADE)
+    assert {path.name for path in IMAGES.iterdir()} == set(GROUPS)
 
 
 def test_the_readme_has_the_one_test_command_that_ci_runs() -> None:
@@ -76,8 +76,8 @@ def test_every_command_that_the_readme_shows_exists() -> None:
 def test_the_map_of_the_architecture_is_the_tree() -> None:
     """Every path and module that the page names exists, and every member of the packages is on its map."""
     page = (ROOT / "docs" / "internals" / "architecture.md").read_text(encoding="utf-8")
-    named = re.findall(r"`((?:cell|planner|drivers|benchmarks|models)/[\w/.]*)`", page)
-    assert [path for path in named if not (ROOT / path).exists()] == []
+    paths = re.findall(r"`((?:cell|planner|drivers|benchmarks|models)/[\w/.]*)`", page)
+    assert [path for path in paths if not (ROOT / path).exists()] == []
     dotted = {
         name
         for name in re.findall(r"`((?:cell|planner|drivers)(?:\.\w+)+)`", page)
@@ -134,6 +134,6 @@ def test_the_version_is_that_of_the_citation(capsys: pytest.CaptureFixture[str])
 def test_the_modules_of_the_reference_exist() -> None:
     """`.ci/api_reference` names modules of the packages, `cell.api` among them."""
     script = (ROOT / ".ci" / "api_reference").read_text(encoding="utf-8")
-    named = re.findall(r" ((?:cell|planner|drivers)(?:\.\w+)+)", script)
-    assert "cell.api" in named
-    assert [name for name in named if find_spec(name) is None] == []
+    names = re.findall(r" ((?:cell|planner|drivers)(?:\.\w+)+)", script)
+    assert "cell.api" in names
+    assert [name for name in names if find_spec(name) is None] == []

@@ -139,21 +139,21 @@ def test_the_caller_injects_clock_limits_and_plants() -> None:
     narrow = np.radians([10.0] * 6)
     limits = Limits.from_rad(JointLimits(-narrow, narrow, narrow, narrow))
     clock = SimulatedClock(100.0)
-    made: list[IdealPlant] = []
+    plants: list[IdealPlant] = []
 
     def plant(start: np.ndarray) -> IdealPlant:
-        made.append(IdealPlant(start))
-        return made[-1]
+        plants.append(IdealPlant(start))
+        return plants[-1]
 
     context = Context(limits, clock=clock, plants={"ideal": plant, "other": IdealPlant})
     with sim("sim://?start=0,0,0,0,0,0", context) as driver:
-        assert driver.controller.plant is made[0]
+        assert driver.controller.plant is plants[0]
         target = np.full((1, 6), 50_000, dtype=np.int32)
         state = driver.move(target, 1.0)
         assert state.axes.tolist() == target[0].tolist()
         assert clock.now() > 100.0
     sim("sim://?plant=other&start=0,0,0,0,0,0", context)
-    assert len(made) == 1
+    assert len(plants) == 1
     with pytest.raises(DriverUrlError, match="injected a clock"):
         sim("sim://?realtime&start=0,0,0,0,0,0", context)
 

@@ -158,19 +158,19 @@ def test_a_repair_stays_away_from_the_dropped_view(planned: Path, tmp_path: Path
     run = open_run(planned)
     dropped = run.candidates.T_object_scanner[run.candidate[1], 0]
 
-    def nearest(made: Any) -> list[tuple[float, float]]:
-        added = np.setdiff1d(made.candidate, run.candidate)
-        T = made.candidates.T_object_scanner[added, 0]
+    def nearest(result: Any) -> list[tuple[float, float]]:
+        added = np.setdiff1d(result.candidate, run.candidate)
+        T = result.candidates.T_object_scanner[added, 0]
         apart = 1000 * np.linalg.norm(T[:, :3, 3] - dropped[:3, 3], axis=1)
         angle = np.degrees(np.arccos(np.clip(T[:, :3, 2] @ dropped[:3, 2], -1, 1)))
         return list(zip(apart, angle, strict=True))
 
     at_once = make_edit(run, drop=[2], repair=True, out=tmp_path / "at_once")
     later = make_edit(make_edit(run, drop=[2], out=tmp_path / "without"), repair=True, out=tmp_path / "later")
-    for made in (at_once, later):
-        assert run.candidate[1] not in made.candidate
-        assert nearest(made)
-        assert all(apart > 50 or angle > 20 for apart, angle in nearest(made))
+    for result in (at_once, later):
+        assert run.candidate[1] not in result.candidate
+        assert nearest(result)
+        assert all(apart > 50 or angle > 20 for apart, angle in nearest(result))
     assert set(at_once.report.settings.banned or ()) == set(later.report.settings.banned or ())
     alone = make_edit(run, drop=[2], dropped_range="0mm,0deg", repair=True, out=tmp_path / "alone")
     assert alone.report.settings.banned == (run.candidate[1],)

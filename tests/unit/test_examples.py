@@ -58,11 +58,11 @@ def test_it_runs(name: str, tmp_path: Path, cache: Path) -> None:
     """A script runs in an empty folder and draws its picture there. The larger bore fails, the rest passes."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg", "XDG_CACHE_HOME": str(cache)}
     script = FOLDER / f"{name}.py"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     with Image.open(tmp_path / f"example_{name}.png") as picture:
         assert min(picture.size) > 200
     if name == "inspect_step":
-        assert [line.split()[-1] for line in done.stdout.splitlines()[-4:]] == ["pass", "pass", "fail", "pass"]
+        assert [line.split()[-1] for line in process.stdout.splitlines()[-4:]] == ["pass", "pass", "fail", "pass"]

@@ -233,8 +233,8 @@ def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
     run = Run(tmp_path, Manifest(schema=SCHEMA))
     (tmp_path / "executions" / "0041").mkdir(parents=True)
     (tmp_path / "executions" / "notes").mkdir()
-    made = [ExecutionFolder.make(run, [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC)).path.name for _ in range(2)]
-    assert made == ["0042", "0043"]
+    names = [ExecutionFolder.make(run, [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC)).path.name for _ in range(2)]
+    assert names == ["0042", "0043"]
 
 
 @pytest.mark.parametrize("during", [True, False])
@@ -252,8 +252,8 @@ def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder:
     with pytest.raises(DriverFailureError, match=r"did not arrive, or was moved since.*--resume"):
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 2
-    kept = ["0001.npz"] if during else ["0001.npz", "0002.npz"]
-    assert sorted(path.name for path in (folder.path / "scans").iterdir()) == kept
+    expected = ["0001.npz"] if during else ["0001.npz", "0002.npz"]
+    assert sorted(path.name for path in (folder.path / "scans").iterdir()) == expected
 
 
 @pytest.mark.parametrize("off", [1000, 300])

@@ -68,12 +68,14 @@ def test_unmeasured_samples_of_the_measured_surface_are_selected(balls: Triangle
     """On measured surface, exactly the samples that no pose measures are selected, by comparison with brute force."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
-    kept = select_samples(samples, _request(_poses()), 3000, LAW, caster)
+    selection = select_samples(samples, _request(_poses()), 3000, LAW, caster)
     missed = ~_measured(samples, _poses(), balls, LAW.grazing_max_deg)
     assert 0.2 < missed.mean() < 0.8
     for name in ("points", "normals", "areas", "face", "planning_face"):
-        assert np.array_equal(getattr(kept, name), getattr(samples, name)[missed]), name
-    assert len(select_samples(samples, _request(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
+        assert np.array_equal(getattr(selection, name), getattr(samples, name)[missed]), name
+    assert len(select_samples(samples, _request(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(
+        selection
+    )
 
 
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
@@ -115,15 +117,15 @@ def test_unseen_samples_of_the_believed_surface_are_selected(include_covered: bo
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
     requests = _request(None, include_covered, space)
-    kept = select_samples(samples, requests, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
+    selection = select_samples(samples, requests, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
     seen = space.is_measured(samples.points, samples.normals)
     assert seen[right].all()
     weights = np.where(
         seen, float(include_covered), GainRecord.empty().weights(space.open_samples_at(samples.points, samples.normals))
     )
-    assert np.array_equal(kept.points, samples.points[weights > 0])
-    assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
-    assert np.array_equal(expected_samples(samples, requests, 3000).areas, kept.areas)
+    assert np.array_equal(selection.points, samples.points[weights > 0])
+    assert selection.areas == pytest.approx((weights * samples.areas)[weights > 0])
+    assert np.array_equal(expected_samples(samples, requests, 3000).areas, selection.areas)
 
 
 @pytest.mark.parametrize(
@@ -165,9 +167,9 @@ def test_the_next_batches_are_the_policys_within_the_budget(
 )
 def test_a_batch_below_the_minimum_gain_names_the_minimum(batch: Batch, output: str) -> None:
     """Two views with an expected gain of 0.08 % each are compared with the minimum gain of the batch."""
-    chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
+    selection: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
     requests = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)
-    message = stage._insufficient_gain(chosen, requests)
+    message = stage._insufficient_gain(selection, requests)
     assert message.endswith(output)
     assert ("to add 0.080 % of the measured surface" in message) == bool(output)
 

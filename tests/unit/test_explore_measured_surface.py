@@ -206,10 +206,10 @@ def test_a_lone_voxel_has_a_surface() -> None:
     """A single voxel and a row of voxels each have a surface about their centre, although smoothing would remove it."""
     space = _space()
     for size in (1, 9):
-        chosen = np.zeros(space.state.shape, dtype=np.bool_)
-        chosen[10 : 10 + size, 12, 14] = True
-        surface = belief.surface_about(space, chosen)
-        assert np.abs(surface.centres.mean(axis=0) - space.centres(chosen).mean(axis=0)).max() < 0.1 * EDGE
+        voxels = np.zeros(space.state.shape, dtype=np.bool_)
+        voxels[10 : 10 + size, 12, 14] = True
+        surface = belief.surface_about(space, voxels)
+        assert np.abs(surface.centres.mean(axis=0) - space.centres(voxels).mean(axis=0)).max() < 0.1 * EDGE
         assert 0.5 * EDGE < surface.diagonal < (size + 2) * EDGE
 
 

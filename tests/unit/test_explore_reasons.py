@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.explore.belief import NOT_SELECTED, REMAINDER, TRIED, UncoveredReport, assign_causes, describe_cause
+from cell.explore.belief import MISSED, NOT_SELECTED, REMAINDER, UncoveredReport, assign_causes, describe_cause
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import OpenSamples
@@ -34,7 +34,7 @@ def test_tried_samples_beside_measured_surface_are_remainders(verdict: Verdict) 
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
     found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
-    reached_codes = [NOT_SELECTED, NOT_SELECTED, REMAINDER, TRIED]
+    reached_codes = [NOT_SELECTED, NOT_SELECTED, REMAINDER, MISSED]
     others = [Reason.OUT_OF_REACH, Reason.OUT_OF_REACH, REMAINDER, Reason.OUT_OF_REACH]
     assert found.reason.tolist() == (reached_codes if verdict == Verdict.REACHABLE else others)
 
@@ -66,9 +66,9 @@ def test_grazing_samples_are_no_remainder() -> None:
 
 def test_equal_sentences_are_reported_once() -> None:
     """Areas [mm2] of reasons with the same sentence are added. The largest area comes first."""
-    codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
+    codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, MISSED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     message = UncoveredReport(_samples(4), codes, views).by_area()
     assert [(each.cause, each.area_mm2) for each in message] == [
-        (describe_cause(Reason.SENSOR_SHADED), 4.0), (describe_cause(TRIED), 4.0), (describe_cause(NOT_SELECTED), 2.0)
+        (describe_cause(Reason.SENSOR_SHADED), 4.0), (describe_cause(MISSED), 4.0), (describe_cause(NOT_SELECTED), 2.0)
     ]  # fmt: skip

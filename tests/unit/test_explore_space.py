@@ -56,10 +56,10 @@ def test_only_the_cylinder_is_unknown_at_first() -> None:
     """Voxels with their centre in the cylinder are unknown; those more than a voxel outside are free."""
     space = _space()
     x, y, z = space.centres(np.ones(space.state.shape, dtype=bool)).T
-    beyond = np.maximum(np.hypot(x, y) - 0.05, np.abs(z) - 0.03)
+    excess = np.maximum(np.hypot(x, y) - 0.05, np.abs(z) - 0.03)
     state = space.state.ravel()
-    assert (state[beyond <= 0] == UNKNOWN).all()
-    assert (state[beyond > 0.004] == FREE).all()
+    assert (state[excess <= 0] == UNKNOWN).all()
+    assert (state[excess > 0.004] == FREE).all()
 
 
 @pytest.mark.parametrize(
@@ -191,8 +191,8 @@ def test_surface_between_points_of_neighbouring_rays_is_a_class_of_its_own() -> 
         == [True, False, False, True, False]
     )
     assert joined.open_samples_at(above, up).between.tolist() == [False, True, True, False, False]
-    beyond = np.array([[0.004, 0.0, space.edge]])  # a position one edge below is near, one above is not
-    assert [joined.open_samples_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
+    lifted = np.array([[0.004, 0.0, space.edge]])  # a position one edge below is near, one above is not
+    assert [joined.open_samples_at(lifted, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
     assert not space.open_samples_at(above, up).between.any()
     outside = np.array([[1.0, 0.0, 0.0]])
     assert np.array_equal(
@@ -221,10 +221,10 @@ def test_each_small_cube_keeps_its_first_point() -> None:
     once = _space().with_points(np.concatenate([first, [[0.2, 0.0, 0.0]]]), [])
     twice = once.with_points(second, [])
     for space, points in ((once, first), (twice, np.concatenate([once.points, second]))):
-        side, taken = 0.7 * space.gap, dict[tuple[int, ...], Floats]()
+        side, first_points = 0.7 * space.gap, dict[tuple[int, ...], Floats]()
         for point in points:
-            taken.setdefault(tuple(np.floor((point - space.low) / side).astype(int).tolist()), point)
-        assert np.array_equal(space.points, np.array(list(taken.values())))
+            first_points.setdefault(tuple(np.floor((point - space.low) / side).astype(int).tolist()), point)
+        assert np.array_equal(space.points, np.array(list(first_points.values())))
     assert np.array_equal(twice.with_points(first, []).points, twice.points)
 
 
@@ -339,15 +339,15 @@ def test_views_are_selected_by_gain_per_second() -> None:
     rng = np.random.default_rng(2)
     measured, areas = rng.random((200, 12)) < 0.2, rng.random(200)
     seconds, usable = rng.uniform(1, 4, 12), np.arange(12) != 5
-    chosen = select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4)
+    selection = select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4)
     left = areas.copy()
-    for view in chosen:
+    for view in selection:
         rates = [usable[v] * left[measured[:, v]].sum() / seconds[v] for v in range(12)]
         assert view == int(np.argmax(rates))
         left[measured[:, view]] = 0
-    assert len(chosen) == 4
+    assert len(selection) == 4
     assert len(select_by_gain_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
-    last = float((measured[:, chosen[3]] & ~measured[:, chosen[:3]].any(axis=1)) @ areas) / seconds[chosen[3]]
+    last = float((measured[:, selection[3]] & ~measured[:, selection[:3]].any(axis=1)) @ areas) / seconds[selection[3]]
     for least, views in ((last * (1 + 1e-9), 3), (last * (1 - 1e-9), 4)):
         assert len(select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4, least)) == views
 
@@ -400,8 +400,8 @@ def test_the_belief_is_that_of_brute_force(seed: int) -> None:
     votes = rng.choice([-1, 0, 2], size=state.shape, p=[0.2, 0.6, 0.2]).astype(np.int16)
     occupied = np.argwhere(state == OCCUPIED)
     everywhere = np.argwhere(np.ones(state.shape, dtype=bool))
-    beyond = np.maximum(np.abs(everywhere[:, None] - occupied) - 3, 0).sum(axis=2)  # a box of 3, then steps to faces
-    near = (beyond.min(axis=1) <= 5).reshape(state.shape)
+    steps = np.maximum(np.abs(everywhere[:, None] - occupied) - 3, 0).sum(axis=2)  # a box of 3, then steps to faces
+    near = (steps.min(axis=1) <= 5).reshape(state.shape)
     around = np.array([at for at in np.ndindex(3, 3, 3) if at != (1, 1, 1)]) - 1
     solid = (state == OCCUPIED) | ((state == UNKNOWN) & (votes <= 0) & near)
     hit = _flooded(solid, state == OCCUPIED, around)

@@ -148,7 +148,7 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     batches = {
         name: [policy(ExploreOptions(), ExplorationState(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()
     }
-    output = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
+    output = {name: [[batch.rough for batch in batch_list] for batch_list in each] for name, each in batches.items()}
     assert output == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
     limited = [POLICIES["two-stage"](ExploreOptions(), ExplorationState(n, 7, limited=True)) for n in (1, 2)]
     assert limited[0] == (Batch(7, include_covered=True),)
@@ -170,12 +170,12 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
     """After six rough views the minimum gain factor falls from 3 to 1 with the stages."""
     policy = POLICIES["two-stage"]
-    much, less, least = (Batch(9, min_gain_factor=worth) for worth in (3.0, 1.5, 1.0))
+    much, less, least = (Batch(9, min_gain_factor=factor) for factor in (3.0, 1.5, 1.0))
     last = Batch(9, on=MEASURED, min_gain_factor=0.6)
     assert policy(ExploreOptions(), ExplorationState(0, 9)) == (Batch(6, rough=True),)
     every = (much, less, least, last)
-    for stages, tried in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
-        assert policy(ExploreOptions(), ExplorationState(stages, 9)) == tried
+    for stages, expected in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
+        assert policy(ExploreOptions(), ExplorationState(stages, 9)) == expected
         assert policy(ExploreOptions(), ExplorationState(stages, 9, on=MEASURED)) == (last,)
 
 
@@ -226,8 +226,8 @@ def test_a_batch_has_as_many_views_as_reach_the_minimum_gain() -> None:
     areas = np.array([3.0, 2.0, 1.0])
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
     problem = Stub(M, lambda: np.ones(3, dtype=bool))
-    for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
-        requests = stage.BatchRequest(None, None, Batch(None, min_gain_factor=worth), 0.01, 3.0, came)
+    for came, factor, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
+        requests = stage.BatchRequest(None, None, Batch(None, min_gain_factor=factor), 0.01, 3.0, came)
         assert max(len(stage._views_with_gain(problem, requests)), 1) == views
 
 
@@ -290,9 +290,9 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """An exploration without a reachable first view ends with exit code 4."""
-    given: Any = (None, SimpleNamespace(batches=()), (), "the arm reaches no view", ())
+    arguments: Any = (None, SimpleNamespace(batches=()), (), "the arm reaches no view", ())
     with pytest.raises(UnreachableError, match="no view can be planned: the arm reaches no view") as message:
-        _finish(*given)
+        _finish(*arguments)
     assert message.value.exit_code == 4
 
 

@@ -41,6 +41,6 @@ def test_an_error_leaves_the_former_content(tmp_path: Path) -> None:
 def test_the_page_of_a_run_does_not_replace_a_pipe(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """`cell view --out` refuses a pipe in one sentence."""
     os.mkfifo(tmp_path / "pipe")
-    done = run_cell("view", planned, "--out", "pipe", cwd=tmp_path, code=6)
-    assert "a device or a pipe, not a regular file" in done.stderr
+    process = run_cell("view", planned, "--out", "pipe", cwd=tmp_path, code=6)
+    assert "a device or a pipe, not a regular file" in process.stderr
     assert (tmp_path / "pipe").is_fifo()

@@ -44,8 +44,8 @@ def open_device(
     """Return the source of a device."""
     options = {"points_frame": "scanner", "points_units": units, "acquire_timeout_s": timeout_s}
     notify = (lambda note: None) if notes is None else notes.append
-    kept = cell or SimpleNamespace(scanner=SCANNER)
-    return GenICam(argument, Context(kept, options, 0, Path(), notify))
+    run_cell = cell or SimpleNamespace(scanner=SCANNER)
+    return GenICam(argument, Context(run_cell, options, 0, Path(), notify))
 
 
 def square_at(points: np.ndarray, shape: tuple[int, int], size: int) -> np.ndarray:
@@ -354,13 +354,13 @@ def test_holes_are_missing_points_of_the_grid(option: str, pixels: list[int], mo
     confidence = np.array([[9.0, 9.0, 0.0], [4.0, 5.0, 9.0]])
     frame: Callable[..., DepthGrid] = lambda camera, timeout: DepthGrid(points, confidence, "mm")  # noqa: E731
     monkeypatch.setattr("cell.scan.genicam._capture", frame)
-    taken = open_device(f"0?producer={PRODUCER}{option}").take(SimpleNamespace(stop=1))
-    assert taken is not None
-    assert taken.arrays["pixel"].tolist() == pixels
-    assert taken.arrays["grid_shape"].tolist() == [2, 3]
-    assert taken.arrays["confidence"].tolist() == confidence.ravel()[pixels].tolist()
-    np.testing.assert_array_equal(taken.points, 0.001 * points.reshape(-1, 3)[pixels])
-    assert taken.details == {"missing": 6 - len(pixels)}
+    acquired = open_device(f"0?producer={PRODUCER}{option}").take(SimpleNamespace(stop=1))
+    assert acquired is not None
+    assert acquired.arrays["pixel"].tolist() == pixels
+    assert acquired.arrays["grid_shape"].tolist() == [2, 3]
+    assert acquired.arrays["confidence"].tolist() == confidence.ravel()[pixels].tolist()
+    np.testing.assert_array_equal(acquired.points, 0.001 * points.reshape(-1, 3)[pixels])
+    assert acquired.details == {"missing": 6 - len(pixels)}
 
 
 def test_a_device_with_several_data_streams_is_refused() -> None:
@@ -384,7 +384,7 @@ def test_a_software_trigger_is_given_for_each_frame() -> None:
         '<Integer Name="Fired"><Value>0</Value></Integer>',
         '<Command Name="TriggerSoftware"><pValue>Fired</pValue><CommandValue>1</CommandValue></Command>',
     )  # fmt: skip
-    done: list[str] = []
+    events: list[str] = []
 
     class Frame:
         payload_type = 10
@@ -394,16 +394,16 @@ def test_a_software_trigger_is_given_for_each_frame() -> None:
             return self
 
         def __exit__(self, *error: object) -> None:
-            done.append("queued")
+            events.append("queued")
 
     def try_fetch(timeout: float) -> Frame | None:
-        done.append(f"fired {nodes.Fired.value}")
+        events.append(f"fired {nodes.Fired.value}")
         nodes.Fired.value = 0
-        return Frame() if done.count("fired 1") == 2 else None
+        return Frame() if events.count("fired 1") == 2 else None
 
     camera = SimpleNamespace(
         remote_device=SimpleNamespace(node_map=nodes), try_fetch=try_fetch,
-        start=lambda: done.append("started"), stop=lambda: done.append("stopped"),
+        start=lambda: events.append("started"), stop=lambda: events.append("stopped"),
     )  # fmt: skip
     assert _capture(camera, 5.0).points.shape == (2, 3, 3)
-    assert done == ["started", "fired 1", "fired 1", "queued", "stopped"]
+    assert events == ["started", "fired 1", "fired 1", "queued", "stopped"]

@@ -69,12 +69,12 @@ def motion(found: EquivalentViews) -> Tour:
 def test_the_plan_has_the_picks_of_the_motion() -> None:
     """Cover and motion have the same candidates at the same stops."""
     rows = MATRIX[:, :3].any(axis=1)
-    chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
+    selection = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
     tour = motion(found)
     picks = found.picked_by(tour)
     np.testing.assert_array_equal(picks, [3, 4, 5])
-    plan, remapped = cover_of_motion(chosen, M, tour, picks)  # type: ignore[arg-type]
+    plan, remapped = cover_of_motion(selection, M, tour, picks)  # type: ignore[arg-type]
     np.testing.assert_array_equal(plan.views[remapped.order], picks[tour.order])
     at = tour.view >= 0
     np.testing.assert_array_equal(plan.views[remapped.view[at]], picks[tour.view[at]])
@@ -87,10 +87,10 @@ def test_the_plan_has_the_picks_of_the_motion() -> None:
 
 def test_nothing_changes_without_swaps() -> None:
     """Without swaps cover and motion are returned unchanged."""
-    chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
+    selection = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
     tour = motion(found)
-    assert cover_of_motion(chosen, M, tour, np.array(chosen.views)) == (chosen, tour)  # type: ignore[arg-type]
+    assert cover_of_motion(selection, M, tour, np.array(selection.views)) == (selection, tour)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("dropped", "expected"), [((0, 0), 1), ((0, 1), 0), ((1, 0), 1)])

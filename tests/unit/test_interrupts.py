@@ -38,12 +38,12 @@ def run_deferred(*steps: Callable[[], object]) -> None:
 
 def test_ctrl_c_waits_for_the_next_question() -> None:
     """The block goes on after Ctrl-C until it asks; nothing remains after the block."""
-    done: list[str] = []
+    calls: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         run_deferred(
-            press_ctrl_c, lambda: done.append("before"), raise_interrupt, lambda: done.append("after the question")
+            press_ctrl_c, lambda: calls.append("before"), raise_interrupt, lambda: calls.append("after the question")
         )
-    assert done == ["before"]
+    assert calls == ["before"]
     raise_interrupt()
     with pytest.raises(KeyboardInterrupt):
         press_ctrl_c()
@@ -65,10 +65,10 @@ def test_ctrl_c_is_raised_at_the_end_of_the_block() -> None:
 
 def test_the_second_ctrl_c_acts_at_once() -> None:
     """A block that never asks can be left by a second Ctrl-C."""
-    done: list[str] = []
+    calls: list[str] = []
     with pytest.raises(KeyboardInterrupt):
-        run_deferred(press_ctrl_c, press_ctrl_c, lambda: done.append("after the second"))
-    assert not done
+        run_deferred(press_ctrl_c, press_ctrl_c, lambda: calls.append("after the second"))
+    assert not calls
 
 
 def test_ctrl_c_after_the_last_question_is_not_lost() -> None:
@@ -132,15 +132,15 @@ def test_a_budget_ends_its_block_and_keeps_the_incumbent(question: str) -> None:
     """Ctrl-C ends the search of a budget at its next charge, and while a compiled solver runs in another thread."""
     budget = Budget(100)
     budget.offer(np.array([3]), 7)
-    begin, done = time.monotonic(), list[str]()
+    begin, calls = time.monotonic(), list[str]()
     with budget.stopped_by_interrupt():
         press_ctrl_c()
         if question == "charge":
             budget.spend(1)
         else:
             interruptible(lambda: time.sleep(60))
-        done.append("after the question")
-    assert not done
+        calls.append("after the question")
+    assert not calls
     assert budget.interrupted
     assert budget.incumbent is not None
     assert budget.incumbent.tolist() == [3]

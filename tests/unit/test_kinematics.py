@@ -8,7 +8,7 @@ from planner.kinematics.frames import kuka_abc_from_pose
 
 # A1..A6 [deg] -> flange X, Y, Z [mm], A, B, C [deg] and the number of real branches. Computed by a chain of
 # Denavit-Hartenberg matrices; Z and H0 can be checked by adding up lengths.
-NAMED = {
+POSES = {
     "zero": ((0, 0, 0, 0, 0, 0), (1768.0, 0, 640.0), (0, 90, 0), 4),
     "upright, forearm level": ((0, -90, 90, 0, 0, 0), (1088.0, 0, 1320.0), (0, 90, 0), 4),
     "home": ((0, -90, 90, 0, 90, 0), (930.0, 0, 1162.0), (180, 0, 180), 4),
@@ -32,10 +32,10 @@ def difference(a, b):
     return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", POSES)
 def test_named_poses(kinematics, name):
     """Named poses agree with the table to the last digit, and their inverse solutions lead back to them."""
-    q_deg, xyz_mm, abc_deg, branches = NAMED[name]
+    q_deg, xyz_mm, abc_deg, branches = POSES[name]
     T = kinematics.forward(np.deg2rad([q_deg]))
     position, abc = kuka_abc_from_pose(T[0])
     np.testing.assert_allclose(position * 1000, xyz_mm, rtol=0, atol=6e-4)

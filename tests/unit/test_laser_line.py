@@ -80,11 +80,11 @@ def test_sigma_in_front_of_a_wall_is_that_of_triangulation() -> None:
     """On the source's axis sigma is sigma_angle (z^2 + b^2) / b, corrected for the sensor's incidence."""
     z, b = 0.3, 0.1
     cos_sensor = z / np.hypot(z, b)
-    wanted = np.radians(2e-3) * (z * z + b * b) / b / (z / z) * np.sqrt(1 / cos_sensor)
+    expected = np.radians(2e-3) * (z * z + b * b) / b / (z / z) * np.sqrt(1 / cos_sensor)
     got = _line(sigma_angle_mdeg=2.0).sigma(np.array([[0, 0, z]]), BACK[None])[0]
     alone = np.radians(2e-3) * np.hypot(z, b) / (b / np.hypot(z, b)) / np.sqrt(cos_sensor)
     assert got == pytest.approx(alone, rel=1e-12)
-    assert got == pytest.approx(wanted, rel=1e-12)
+    assert got == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("keys", [{}, {"sweep_mm": None, "sweep_deg": 20.0}, {"sweep_mm": None}, {"line_points": 3}])

@@ -77,10 +77,10 @@ def test_prediction_equals_the_matrix_for_all_views_and_for_each(cube):
     """`find_measured` on the rows of the matrix gives its columns, and their union."""
     _, caster, samples, views = cube
     matrix = fill_matrix(views, samples, SCANNER, caster).matrix().toarray()
-    chosen = [0, 5, 14, 20]
-    T = views.T_object_scanner[chosen]
-    assert (find_measured(T, samples, SCANNER, [caster], each=True) == matrix[:, chosen]).all()
-    assert (find_measured(T, samples, SCANNER, [caster]) == matrix[:, chosen].any(axis=1)).all()
+    columns = [0, 5, 14, 20]
+    T = views.T_object_scanner[columns]
+    assert (find_measured(T, samples, SCANNER, [caster], each=True) == matrix[:, columns]).all()
+    assert (find_measured(T, samples, SCANNER, [caster]) == matrix[:, columns].any(axis=1)).all()
     assert not find_measured(T[:0], samples, SCANNER, [caster]).any()
 
 
@@ -105,7 +105,7 @@ def test_progress_ends_at_all_poses(cube):
     """The reported numbers increase up to (all, all)."""
     _, caster, samples, views = cube
     calls = []
-    fill_matrix(views, samples, SCANNER, caster, progress=lambda done, total: calls.append((done, total)))
+    fill_matrix(views, samples, SCANNER, caster, progress=lambda n_done, total: calls.append((n_done, total)))
     assert calls[-1] == (24, 24)
     assert calls == sorted(calls)
 
@@ -175,8 +175,8 @@ def _matrix(dense, planning_face, area):
 def _spread(face_areas, region=None):
     """Return a sample on each planning face that has an area."""
     faces = np.flatnonzero(face_areas)
-    made = _matrix(np.zeros((len(faces), 1)), faces, 0.0).samples
-    return replace(made, areas=face_areas[faces], region=region)
+    samples = _matrix(np.zeros((len(faces), 1)), faces, 0.0).samples
+    return replace(samples, areas=face_areas[faces], region=region)
 
 
 def test_appended_rows_share_the_area_of_their_face():

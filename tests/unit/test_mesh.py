@@ -52,10 +52,10 @@ def test_samples_never_lie_on_a_face_without_area() -> None:
     """Degenerate faces first, last and in the middle hold no sample, and every other face of a box holds its share."""
     mesh = with_zero_area_faces(box())
     samples = draw_samples(mesh, box(), 6000, np.random.default_rng(1))
-    held = np.bincount(samples.face, minlength=len(mesh.faces))
+    counts = np.bincount(samples.face, minlength=len(mesh.faces))
     areas = mesh.areas
-    assert (held[areas == 0] == 0).all()
-    assert np.abs(held - 6000 * areas / areas.sum()).max() <= 1.0 + 1e-9
+    assert (counts[areas == 0] == 0).all()
+    assert np.abs(counts - 6000 * areas / areas.sum()).max() <= 1.0 + 1e-9
 
 
 def test_samples_are_tagged_with_the_planning_face_that_they_lie_on() -> None:
@@ -127,9 +127,9 @@ def test_cuts_leave_the_surface_as_it_was(planes: list[tuple[int, float]]) -> No
     for axis, at in planes:
         pieces, own = cut_at_plane(pieces, axis, at)
         parent = parent[own]
-    made = trimesh.Trimesh(pieces.vertices, pieces.faces, process=False)
-    assert made.is_watertight
-    assert made.is_winding_consistent
+    cut_mesh = trimesh.Trimesh(pieces.vertices, pieces.faces, process=False)
+    assert cut_mesh.is_watertight
+    assert cut_mesh.is_winding_consistent
     assert np.bincount(parent, pieces.areas, len(mesh.faces)) == pytest.approx(mesh.areas, rel=1e-9)
     assert np.einsum("fj,fj->f", pieces.normals, mesh.normals[parent]) == pytest.approx(1.0)
     for axis, at in planes:
@@ -140,8 +140,8 @@ def test_cuts_leave_the_surface_as_it_was(planes: list[tuple[int, float]]) -> No
 
 def test_a_box_of_a_cut_block_has_its_exact_area() -> None:
     """The part of the top inside a box has its closed-form area after twelve triangles are cut."""
-    made = trimesh.creation.box((2.0, 2.0, 2.0))
-    mesh = TriangleMesh(made.vertices, made.faces)
+    block = trimesh.creation.box((2.0, 2.0, 2.0))
+    mesh = TriangleMesh(block.vertices, block.faces)
     low, high = np.array([-0.5, -0.25, 0.5]), np.array([0.7, 0.25, 1.5])
     for k, at in enumerate((*low, *high)):
         mesh, _ = cut_at_plane(mesh, k % 3, float(at))

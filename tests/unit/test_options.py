@@ -75,10 +75,10 @@ def test_every_option_shows_its_unit_limits_and_choices(model: type[BaseModel]) 
     """A key with a unit shows it; limits of the field and each choice are in the help."""
     for offer in option_specs(model).values():
         assert offer.help.endswith("."), offer.name
-        shown = f"{offer.metavar} {offer.help}".lower()
+        text = f"{offer.metavar} {offer.help}".lower()
         for key, field in offer.fields.items():
             unit = re.search(r"_(mm2|mm|deg|percent|share)$", key)
-            assert unit is None or {"share": "%"}.get(unit[1], unit[1]) in shown, key
+            assert unit is None or {"share": "%"}.get(unit[1], unit[1]) in text, key
             for bound in (
                 getattr(each, word) for each in field.metadata for word in ("ge", "le") if hasattr(each, word)
             ):

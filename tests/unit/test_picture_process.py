@@ -18,8 +18,8 @@ def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
     with plot_process() as drawing:
         for share in shares:
             drawing.send("cover_curve", tmp_path / f"{share}.png", **COVER | {"coverable": share})
-        drawn = drawing.finish()
-    assert drawn == [tmp_path / f"{share}.png" for share in shares]
+        files = drawing.finish()
+    assert files == [tmp_path / f"{share}.png" for share in shares]
     for share in shares:
         figures.cover_curve(tmp_path / "alone.png", **COVER | {"coverable": share})
         assert (tmp_path / f"{share}.png").read_bytes() == (tmp_path / "alone.png").read_bytes()

@@ -34,7 +34,7 @@ def case():
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     candidates = aim_viewpoints(0.03 * outward, outward, np.full(N, -1), [0.1], [0.0])
     M = fill_matrix(candidates, samples, scanner, caster)
-    chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
+    selection = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
     pool = SearchPoses(
         candidates.T_object_scanner[:, 0],
         np.full(N, 0.1),
@@ -43,7 +43,7 @@ def case():
         np.zeros(N, dtype=int),
     )
     table = DirectionTable.build(RayTargets.of(samples.points, samples.normals), scanner, caster, (), (0.05, 0.16))
-    return samples, scanner, caster, pool, np.sort(chosen), table
+    return samples, scanner, caster, pool, np.sort(selection), table
 
 
 def _measured_share(case, views):
@@ -52,9 +52,9 @@ def _measured_share(case, views):
 
 
 def _search(case, *, are_reachable=_everywhere, required=0.98, effort=60_000, seed=0):
-    pool, chosen, table = case[3:]
+    pool, selection, table = case[3:]
     return search_poses(
-        chosen, pool, [Place(table, are_reachable)], np.full(len(table), 1 / len(table)),
+        selection, pool, [Place(table, are_reachable)], np.full(len(table), 1 / len(table)),
         shortfall=lambda views: required - _measured_share(case, views), effort=effort,
         rng=np.random.default_rng(seed),
     )  # fmt: skip

@@ -70,8 +70,10 @@ def test_invalid_mounts(text: str, message: str, tmp_path: Path) -> None:
 def test_the_built_in_scene_file_shows_both_forms() -> None:
     """The commented lines of models/scene.toml are the default mount."""
     lines = (Path(__file__).parents[2] / "models" / "scene.toml").read_text().splitlines()
-    shown = [line.lstrip("# ").partition(" #")[0] for line in lines if line.startswith(("# quaternion", "# matrix_mm"))]
-    output = tomllib.loads("\n".join(shown))
+    toml_lines = [
+        line.lstrip("# ").partition(" #")[0] for line in lines if line.startswith(("# quaternion", "# matrix_mm"))
+    ]
+    output = tomllib.loads("\n".join(toml_lines))
     assert output["quaternion"] == [1.0, 0.0, 0.0, 0.0]
     assert output["matrix_mm"][2] == [0.0, 0.0, 1.0, 120.0]
 

@@ -98,12 +98,12 @@ def test_best_sigma_is_the_minimum_over_chosen_views(part, caster):
     M = sigma_layer(fill_matrix(views, samples, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.nan)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
-    chosen = np.array([3, 11, 20])
+    columns = np.array([3, 11, 20])
     expected = np.full(300, np.nan)
-    seen = ~np.isnan(dense[:, chosen]).all(axis=1)
-    expected[seen] = np.nanmin(dense[seen][:, chosen], axis=1)
+    seen = ~np.isnan(dense[:, columns]).all(axis=1)
+    expected[seen] = np.nanmin(dense[seen][:, columns], axis=1)
     assert 0 < seen.sum() < 300
-    np.testing.assert_allclose(best_sigma(M, chosen), expected, rtol=1e-6)
+    np.testing.assert_allclose(best_sigma(M, columns), expected, rtol=1e-6)
 
 
 def test_too_uncertain_comes_after_the_scanner_s_own_conditions():

@@ -102,10 +102,10 @@ def test_verdicts():
     far = np.eye(4)
     far[0, 3] = 3.0
     # A2 = 80 deg is beyond its 35; the other elbow and the other shoulder exceed a limit as well.
-    beyond = KINEMATICS.forward(np.deg2rad([[0.0, 80.0, -40.0, 0.0, 30.0, 0.0]]))[0]
+    outside = KINEMATICS.forward(np.deg2rad([[0.0, 80.0, -40.0, 0.0, 30.0, 0.0]]))[0]
     inside = KINEMATICS.forward(np.deg2rad([[-40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))[0]
     behind = KINEMATICS.forward(np.deg2rad([[40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))[0]
-    reach = solved(viewpoints_of(np.stack([far, beyond, inside, behind])[:, None]), Wall(0.0))
+    reach = solved(viewpoints_of(np.stack([far, outside, inside, behind])[:, None]), Wall(0.0))
     assert reach.verdict.tolist() == [Verdict.OUT_OF_REACH, Verdict.JOINT_LIMIT, Verdict.REACHABLE, Verdict.COLLISION]
     assert reach.blocker[:3] == ("", "", "")
     assert reach.blocker[3] == "housing with wall"
@@ -154,16 +154,16 @@ def test_chunks_and_progress_change_nothing():
     """A viewpoint's result does not depend on its neighbours; exceptions of the progress callback pass."""
     T = random_flanges(1300, seed=4)
     calls = []
-    whole = solved(viewpoints_of(T[:, None]), Wall(0.1), progress=lambda done, total: calls.append((done, total)))
+    whole = solved(viewpoints_of(T[:, None]), Wall(0.1), progress=lambda n_done, total: calls.append((n_done, total)))
     assert calls[-1] == (1300, 1300)
-    assert [done for done, _ in calls] == sorted({done for done, _ in calls})
+    assert [n_done for n_done, _ in calls] == sorted({n_done for n_done, _ in calls})
     assert len(calls) > 1
     part = solved(viewpoints_of(T[700:900, None]), Wall(0.1))
     np.testing.assert_array_equal(part.verdict, whole.verdict[700:900])
     np.testing.assert_array_equal(part.q, whole.q[whole.offsets[700] : whole.offsets[900]])
     assert part.blocker == whole.blocker[700:900]
 
-    def interrupt(done, total):
+    def interrupt(n_done, total):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

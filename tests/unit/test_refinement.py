@@ -34,9 +34,9 @@ def case():
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     candidates = aim_viewpoints(0.03 * outward, outward, np.full(40, -1), [STANDOFF], [0.0])
     M = fill_matrix(candidates, samples, scanner, caster)
-    chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
-    poses, n = candidates.T_object_scanner[chosen, 0], len(chosen)
-    measured = M.matrix().tocsc()[:, chosen].toarray()
+    selection = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
+    poses, n = candidates.T_object_scanner[selection, 0], len(selection)
+    measured = M.matrix().tocsc()[:, selection].toarray()
     views = SimpleNamespace(T_object_scanner=poses, distance=np.full(n, STANDOFF), measured=measured)
     return samples, scanner, caster, views
 

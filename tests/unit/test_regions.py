@@ -57,7 +57,7 @@ def box(tmp_path: Path) -> Path:
 
 @needs_cascadio
 @pytest.mark.parametrize(
-    ("selects", "wanted"),
+    ("selects", "expected"),
     [
         ({"kind": "cylinder"}, 2 * math.pi * 8 * 30),
         ({"kind": "cylinder", "diameter_below_mm": 20}, 2 * math.pi * 8 * 30),
@@ -66,12 +66,12 @@ def box(tmp_path: Path) -> Path:
     ],
     ids=["kind", "kind and diameter", "diameter", "kind and box"],
 )
-def test_faces_are_selected_by_all_selectors(tmp_path: Path, selects: dict, wanted: float) -> None:
+def test_faces_are_selected_by_all_selectors(tmp_path: Path, selects: dict, expected: float) -> None:
     """A face must satisfy all selectors of a region, and the area is that of the drawing."""
     path = tmp_path / "block.stp"
     path.write_text(bored_block())
     part = tagged(path, [{"name": "it", **selects}, NO])
-    assert area(part, 0) == pytest.approx(wanted, rel=2e-3)
+    assert area(part, 0) == pytest.approx(expected, rel=2e-3)
     assert part.cad.counts() == {"plane": 6, "cylinder": 1}
 
 
@@ -104,13 +104,13 @@ def test_paint_selects_by_colour(tmp_path: Path, box: Path) -> None:
     red = fine.face_normals[:, 2] > 0.5
     fine.visual.face_colors = np.where(red[:, None], [250, 10, 0, 255], [200, 200, 200, 255])
     fine.export(tmp_path / "fine.ply")
-    wanted = {"name": "red", "colour": "#ff0000"}
-    by_other = tagged(box, [wanted | {"painted": "fine.ply", "painted_units": "mm"}, NO], "mm")
-    own = tagged(tmp_path / "fine.ply", [wanted, NO], "mm")
+    red_region = {"name": "red", "colour": "#ff0000"}
+    by_other = tagged(box, [red_region | {"painted": "fine.ply", "painted_units": "mm"}, NO], "mm")
+    own = tagged(tmp_path / "fine.ply", [red_region, NO], "mm")
     assert area(by_other, 0) == pytest.approx(600, rel=0.05)
     assert area(own, 0) == pytest.approx(600)
     with pytest.raises(FileError, match="has no colours"):
-        tagged(box, [wanted, NO], "mm")
+        tagged(box, [red_region, NO], "mm")
 
 
 def test_samples_lie_in_measured_regions(box: Path) -> None:
@@ -146,15 +146,15 @@ def test_a_part_without_regions_is_itself(box: Path) -> None:
 @needs_cascadio
 def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
     """The bore is red and its block blue. A file without colours gives a message."""
-    made, path = StepFile(), tmp_path / "block.stp"
-    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
-    bore = next(k for k, line in enumerate(made.lines, 1) if line.startswith("ADVANCED_FACE") and line.endswith(".F.)"))
+    file, path = StepFile(), tmp_path / "block.stp"
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    bore = next(k for k, line in enumerate(file.lines, 1) if line.startswith("ADVANCED_FACE") and line.endswith(".F.)"))
     red, blue = {"name": "bore", "colour": "#cc2010"}, {"name": "block", "colour": "#3050a0"}
     path.write_text(bored_block())
     with pytest.raises(FileError, match="has no colours"):
         tagged(path, [red, NO])
-    made.colours = [(made.solids[0], (0x30 / 255, 0x50 / 255, 0xA0 / 255)), (f"#{bore}", (0.8, 0.125, 0.0625))]
-    path.write_text(made.text())
+    file.colours = [(file.solids[0], (0x30 / 255, 0x50 / 255, 0xA0 / 255)), (f"#{bore}", (0.8, 0.125, 0.0625))]
+    path.write_text(file.text())
     part = tagged(path, [red, blue, NO])
     assert area(part, 0) == pytest.approx(2 * math.pi * 8 * 30, rel=2e-3)
     assert area(part, 1) == pytest.approx(2 * (60 * 40 - math.pi * 64) + 2 * 30 * (60 + 40), rel=2e-3)
@@ -228,10 +228,10 @@ def test_limits_of_regions_apply_to_their_points() -> None:
         QualityLimits(),
     )
     codes = LimitedScanner(bare, regions=limits).reject_in(points, normals, region)
-    wanted = np.full(500, Rejection.MEASURED)
-    wanted[(region == 0) & (spacing > limits[0].spacing)] = Rejection.TOO_SPARSE
-    wanted[(region == 1) & (sigma > limits[1].sigma)] = Rejection.TOO_UNCERTAIN
-    assert (codes == wanted).all()
+    expected = np.full(500, Rejection.MEASURED)
+    expected[(region == 0) & (spacing > limits[0].spacing)] = Rejection.TOO_SPARSE
+    expected[(region == 1) & (sigma > limits[1].sigma)] = Rejection.TOO_UNCERTAIN
+    assert (codes == expected).all()
     assert 0 < (codes == Rejection.TOO_SPARSE).sum() < 500
     assert with_limits(bare, None, ()) is bare
 
@@ -241,13 +241,13 @@ def test_an_unattainable_spacing_has_remedies(box: Path) -> None:
     regions = [{"name": "seat", "max_spacing_mm": 0.3, "box_mm": [-50, -50, 2, 50, 50, 5]}, NO]
     scene = scene_with(box, regions, "mm", scanner={"sensor": "generic-area-large"})
     scene = settle_scene(scene, load(box, "mm"))
-    given = {"range_mm": (150.0, 450.0), "baseline_mm": 75.0}
+    settings = {"range_mm": (150.0, 450.0), "baseline_mm": 75.0}
     with pytest.raises(
         SceneError, match=r"'seat' requires points at most 0.3 mm apart.*150 mm.*generic-area-medium"
     ) as output:
-        require_attainable(scene, LaserArea(**given))
+        require_attainable(scene, LaserArea(**settings))
     resolution = float(str(output.value).partition("resolution_deg = [")[2].partition(",")[0])
-    require_attainable(scene, LaserArea(**given, resolution_deg=(resolution, resolution)))
+    require_attainable(scene, LaserArea(**settings, resolution_deg=(resolution, resolution)))
     require_attainable(scene, LaserArea(range_mm=(50.0, 150.0), baseline_mm=25.0))
 
 
@@ -265,10 +265,10 @@ def test_regions_become_demands_weights_and_targets(box: Path) -> None:
     assert not goals.is_plain
     part = with_regions(load(box, "mm"), scene)
     rows = draw_samples(part.reference, part.reference, 300, np.random.default_rng(0))
-    wish = goals.apply(CoverProblem(np.ones((300, 2), bool), rows.areas), rows)
-    assert (wish.demand == np.array([1, 3, 1])[rows.region]).all()
-    assert (wish.region == np.array([1, 0, 0])[rows.region]).all()
-    assert wish.weights == pytest.approx(rows.areas * np.array([1, 1, 2])[rows.region])
+    problem = goals.apply(CoverProblem(np.ones((300, 2), bool), rows.areas), rows)
+    assert (problem.demand == np.array([1, 3, 1])[rows.region]).all()
+    assert (problem.region == np.array([1, 0, 0])[rows.region]).all()
+    assert problem.weights == pytest.approx(rows.areas * np.array([1, 1, 2])[rows.region])
     assert RegionGroups.of((), scene.plan) is None
     huge = scene.region[0].model_copy(update={"views": 10**20})
     assert RegionGroups.of((huge,), scene.plan).views.dtype == np.int64

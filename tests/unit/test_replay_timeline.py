@@ -46,15 +46,15 @@ def _execution(views: tuple[int, ...], off: float, motion: Motion | None = None)
 def test_the_plan_rests_at_each_view() -> None:
     """Duration = motion + rests; a rest has the planned angles; without rests the timeline is the motion."""
     motion = _motion()
-    shown = timeline.plan_timeline(motion, _REST)
-    assert shown.duration == pytest.approx(motion.duration + _REST * len(_VIEWS))
-    assert [stop.candidate for stop in shown.stops] == list(_VIEWS)
-    for stop in shown.stops:
+    found = timeline.plan_timeline(motion, _REST)
+    assert found.duration == pytest.approx(motion.duration + _REST * len(_VIEWS))
+    assert [stop.candidate for stop in found.stops] == list(_VIEWS)
+    for stop in found.stops:
         q = motion.via_q[motion.view == stop.candidate][0]
         for t in (stop.begin, (stop.begin + stop.end) / 2, stop.end):
-            np.testing.assert_allclose(shown.at(t), q, atol=1e-12)
-            assert shown.stop_at(t) == stop
-            assert shown.moved(t) == pytest.approx(motion.via_t[motion.view == stop.candidate][0])
+            np.testing.assert_allclose(found.at(t), q, atol=1e-12)
+            assert found.stop_at(t) == stop
+            assert found.moved(t) == pytest.approx(motion.via_t[motion.view == stop.candidate][0])
     np.testing.assert_array_equal(timeline.plan_timeline(motion, 0.0).q[[0, -1]], motion.q[[0, -1]])
     for t in np.linspace(0, motion.duration, 50):
         expected = [np.interp(t, motion.t, motion.q[:, axis]) for axis in range(6)]
@@ -65,22 +65,22 @@ def test_an_exact_execution_is_the_plan() -> None:
     """With reported = commanded = planned angles, both timelines agree sample by sample."""
     motion = _motion()
     plan = timeline.plan_timeline(motion, _REST)
-    shown = timeline.execution_timeline(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
-    np.testing.assert_allclose(shown.t, plan.t, atol=1e-12)
-    np.testing.assert_allclose(shown.q, plan.q, atol=1e-12)
-    assert shown.notes == ()
+    found = timeline.execution_timeline(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
+    np.testing.assert_allclose(found.t, plan.t, atol=1e-12)
+    np.testing.assert_allclose(found.q, plan.q, atol=1e-12)
+    assert found.notes == ()
 
 
 def test_an_execution_uses_its_reported_angles() -> None:
     """Stops have exactly the reported angles; the motion between them is continuous."""
     motion = _motion()
     execution = _execution(_VIEWS, 0.02)
-    shown = timeline.execution_timeline(execution, motion, motion.q[0], _REST)
-    for stop, scan in zip(shown.stops, execution.scans, strict=True):
-        np.testing.assert_allclose(shown.at(stop.begin), scan.q_reported, atol=1e-12)
-    np.testing.assert_allclose(shown.q[[0, -1]], motion.q[[0, -1]], atol=1e-12)
-    assert (np.diff(shown.t) > 0).all()
-    assert (np.abs(np.diff(shown.q, axis=0)) / np.diff(shown.t)[:, None]).max() < 1.3
+    found = timeline.execution_timeline(execution, motion, motion.q[0], _REST)
+    for stop, scan in zip(found.stops, execution.scans, strict=True):
+        np.testing.assert_allclose(found.at(stop.begin), scan.q_reported, atol=1e-12)
+    np.testing.assert_allclose(found.q[[0, -1]], motion.q[[0, -1]], atol=1e-12)
+    assert (np.diff(found.t) > 0).all()
+    assert (np.abs(np.diff(found.q, axis=0)) / np.diff(found.t)[:, None]).max() < 1.3
 
 
 def test_a_recorded_motion_replaces_the_planned_one() -> None:
@@ -88,19 +88,19 @@ def test_a_recorded_motion_replaces_the_planned_one() -> None:
     motion = _motion()
     slow = JointLimits(_LIMITS.lower, _LIMITS.upper, _LIMITS.velocity / 4, _LIMITS.acceleration / 4)
     own = retime(motion.via_q, motion.segment, motion.view, slow)
-    shown = timeline.execution_timeline(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
-    assert shown.duration == pytest.approx(own.duration)
+    found = timeline.execution_timeline(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
+    assert found.duration == pytest.approx(own.duration)
 
 
 @pytest.mark.parametrize("views", [(9,), (3, 7), (7, 9)])
 def test_an_unplanned_motion_is_straight_and_noted(views: tuple[int, ...]) -> None:
     """A single view or another order gives straight moves and a note."""
     motion = _motion()
-    shown = timeline.execution_timeline(_execution(views, 0.01), motion, motion.q[0], _REST)
-    assert [stop.candidate for stop in shown.stops] == list(views)
-    assert "without a collision check" in shown.notes[0]
-    assert (np.diff(shown.t) > 0).all()
-    assert (np.abs(np.diff(shown.q, axis=0)) / np.diff(shown.t)[:, None]).max() < 1.3
+    found = timeline.execution_timeline(_execution(views, 0.01), motion, motion.q[0], _REST)
+    assert [stop.candidate for stop in found.stops] == list(views)
+    assert "without a collision check" in found.notes[0]
+    assert (np.diff(found.t) > 0).all()
+    assert (np.abs(np.diff(found.q, axis=0)) / np.diff(found.t)[:, None]).max() < 1.3
 
 
 def test_stops_have_the_numbers_of_the_plan() -> None:
@@ -108,17 +108,17 @@ def test_stops_have_the_numbers_of_the_plan() -> None:
     motion = _motion()
     found = _execution((3, 9), 0.0)
     scans = tuple(dataclasses.replace(scan, stop=number) for number, scan in zip((2, 3), found.scans, strict=True))
-    shown = timeline.execution_timeline(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
-    assert [(stop.number, stop.candidate) for stop in shown.stops] == [(2, 3), (3, 9)]
-    assert shown.n_views == 3
+    renumbered = timeline.execution_timeline(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
+    assert [(stop.number, stop.candidate) for stop in renumbered.stops] == [(2, 3), (3, 9)]
+    assert renumbered.n_views == 3
     assert timeline.plan_timeline(motion).n_views == 3
 
 
 def test_a_run_without_motion_is_at_home() -> None:
     """The angles are those of home at every time."""
-    shown = timeline.home_timeline(np.arange(6.0))
-    assert shown.duration == 0
-    np.testing.assert_array_equal(shown.at(3.0), np.arange(6.0))
+    found = timeline.home_timeline(np.arange(6.0))
+    assert found.duration == 0
+    np.testing.assert_array_equal(found.at(3.0), np.arange(6.0))
     empty = timeline.execution_timeline(_execution((), 0.0), None, np.arange(6.0))
     np.testing.assert_array_equal(empty.at(0.0), np.arange(6.0))
 
@@ -134,20 +134,20 @@ def test_frames_cover_the_playback(duration: float, start: float, fps: float, sp
 
 def test_keys() -> None:
     """Space pauses and restarts at the end; arrows step to a view and pause; up and down are inverse."""
-    shown = timeline.plan_timeline(_motion(), _REST)
-    player = Player(shown, speed=2.0)
+    found = timeline.plan_timeline(_motion(), _REST)
+    player = Player(found, speed=2.0)
     player.advance(0.1)
     assert player.t == pytest.approx(0.2)
     player.press(32)
     player.advance(5.0)
     assert player.t == pytest.approx(0.2)
-    for stop in shown.stops:
+    for stop in found.stops:
         player.press(262)
         assert player.t == stop.begin
         assert not player.playing
     player.press(262)
     assert player.ended
-    for stop in reversed(shown.stops):
+    for stop in reversed(found.stops):
         player.press(263)
         assert player.t == stop.begin
     player.press(263)
@@ -155,7 +155,7 @@ def test_keys() -> None:
     assert player.t == 0
     player.press(32)
     player.advance(1e6)
-    assert player.t == shown.duration
+    assert player.t == found.duration
     player.press(32)
     assert player.t == 0
     assert player.playing

@@ -40,13 +40,13 @@ PLAN = ExecutionPlan(
 MOTION: Motion = retime(np.stack([HOME, at(10)]), np.array([0, 1]), np.array([-1, 70]), LIMITS)
 
 
-def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
+def rest(scanned: set[int], q: np.ndarray) -> RemainingMotion:
     """Return the remaining motion of an arm that is at q."""
-    return plan_resume(PLAN, done, RobotState(Mode.IDLE, from_rad(q), True), CHECKER, MOTION.limits, 0)
+    return plan_resume(PLAN, scanned, RobotState(Mode.IDLE, from_rad(q), True), CHECKER, MOTION.limits, 0)
 
 
 @pytest.mark.parametrize(
-    ("done", "position", "stops", "segments"),
+    ("scanned", "position", "stops", "segments"),
     [
         (set(), HOME, (1, 2, 3, 4), 7),
         ({1}, at(10), (2, 3, 4), 6),
@@ -57,20 +57,20 @@ def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
     ids=["nothing moved", "view 1", "view 2", "after the sweep", "only the way home"],
 )
 def test_between_a_scan_and_the_next_move_the_plan_goes_on(
-    done: set[int], position: np.ndarray, stops: tuple[int, ...], segments: int
+    scanned: set[int], position: np.ndarray, stops: tuple[int, ...], segments: int
 ) -> None:
     """The remaining segments are those of the plan, and they start at the position of the arm."""
-    left = rest(done, position)
+    left = rest(scanned, position)
     assert left.approach_path is None
     assert left.plan.stops == stops
     assert left.plan.segments == PLAN.segments[len(PLAN.segments) - segments :]
     assert (left.plan.start == position).all()
 
 
-@pytest.mark.parametrize(("done", "goal"), [(set(), at(10)), ({1}, at(30)), ({1, 2}, at(40)), ({1, 2, 3, 4}, HOME)])
-def test_between_the_end_of_a_move_and_its_scan_nothing_is_driven_again(done: set[int], goal: np.ndarray) -> None:
+@pytest.mark.parametrize(("scanned", "goal"), [(set(), at(10)), ({1}, at(30)), ({1, 2}, at(40)), ({1, 2, 3, 4}, HOME)])
+def test_between_the_end_of_a_move_and_its_scan_nothing_is_driven_again(scanned: set[int], goal: np.ndarray) -> None:
     """An arm at the goal of a move without its scan makes a move of zero length. The same holds for the way home."""
-    left = rest(done, goal)
+    left = rest(scanned, goal)
     assert left.approach_path is None
     assert (left.plan.segments[0].via == goal[None]).all()
     after = left.plan.segments[1:]

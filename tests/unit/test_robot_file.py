@@ -90,8 +90,8 @@ def written(folder: Path, text: str) -> Path:
 
 def by_mujoco(text: str, q: np.ndarray, body: str) -> np.ndarray:
     """Return the pose (4, 4) of a link of the URDF by MuJoCo, with mimic joints set by hand."""
-    kept = '<robot name="small"><mujoco><compiler fusestatic="false"/></mujoco>'
-    model = mujoco.MjSpec.from_string(text.replace('<robot name="small">', kept)).compile()
+    robot_tag = '<robot name="small"><mujoco><compiler fusestatic="false"/></mujoco>'
+    model = mujoco.MjSpec.from_string(text.replace('<robot name="small">', robot_tag)).compile()
     data = mujoco.MjData(model)
     for axis, angle in enumerate(q, 1):
         data.joint(f"j{axis}").qpos = angle
@@ -250,7 +250,7 @@ def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(
     assert 2 * moved.max() < keep
 
 
-BEYOND = """<geometry><box size="0.05 0.05 0.05"/></geometry></collision><collision><origin xyz="{x} {y} 0"/>
+TWO_BOXES = """<geometry><box size="0.05 0.05 0.05"/></geometry></collision><collision><origin xyz="{x} {y} 0"/>
     <geometry><box size="0.06 0.02 0.02"/></geometry>"""
 
 
@@ -266,7 +266,7 @@ def test_the_bracket_is_excluded_from_link_5_only_if_justified(
     tmp_path: Path, x: float, y: float, excluded: str | None
 ) -> None:
     """The pair is excluded if it touches at all wrist angles or provably at none; otherwise it is checked."""
-    path = written(tmp_path, urdf(l5=BEYOND.format(x=x, y=y)))
+    path = written(tmp_path, urdf(l5=TWO_BOXES.format(x=x, y=y)))
     mount = {"position_mm": (100.0, 0.0, 120.0)}
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}, "mount": mount}), CUBE)
     names = {world.model.exclude(i).name for i in range(world.model.nexclude)}
@@ -347,9 +347,9 @@ def test_a_first_link_that_tips_is_checked_against_the_floor(tmp_path: Path, tip
     text = urdf().replace('<origin xyz="0 0 0.3"/>', f'<origin xyz="0 0 0.3" rpy="{tip} 0 0"/>', 1)
     assert "rpy" in text.split("j2")[0]
     world = compile_world(Scene.model_validate({"robot": {"model": str(written(tmp_path, text))}}), CUBE)
-    named = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
-    assert (frozenset(("link_1", "floor")) in named) is guarded
-    assert (frozenset(("link_1", "pedestal")) in named) is guarded
+    pairs = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
+    assert (frozenset(("link_1", "floor")) in pairs) is guarded
+    assert (frozenset(("link_1", "pedestal")) in pairs) is guarded
 
 
 def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -509,10 +509,10 @@ def test_an_arm_from_a_file_is_planned_verified_and_driven(tmp_path: Path, run_c
     run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *options, "--out=run", cwd=tmp_path, code=0)
     assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
     run_cell("scan", "run", cwd=tmp_path, code=0)
-    done = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
-    assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in done.stderr, done.stderr
+    process = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
+    assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in process.stderr, process.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
     run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *options[:-2], *few, cwd=tmp_path, code=0)
     written(tmp_path, urdf())
-    done = run_cell("scan", "run", cwd=tmp_path, code=2)
-    assert "the robot's file" in done.stderr
+    process = run_cell("scan", "run", cwd=tmp_path, code=2)
+    assert "the robot's file" in process.stderr

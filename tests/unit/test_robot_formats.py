@@ -123,7 +123,7 @@ def test_numbers_that_no_arm_has_are_refused(tmp_path: Path, options: dict[str, 
 
 
 @pytest.mark.parametrize(
-    ("given", "written", "sentence"),
+    ("original", "written", "sentence"),
     [
         ('<link name="link_2">', '<link name="link_1">', "two links named 'link_1'"),
         ('name="j2"', 'name="j1"', "two joints named 'j1'"),
@@ -138,10 +138,10 @@ def test_numbers_that_no_arm_has_are_refused(tmp_path: Path, options: dict[str, 
         ('<origin xyz="0 0 0.2"/>', '<origin xyz="0 0 0.2" rpy="0 0 90"/>', "seem to be in degrees"),
     ],
 )
-def test_a_urdf_that_is_no_tree_is_named(tmp_path: Path, given: str, written: str, sentence: str) -> None:
+def test_a_urdf_that_is_no_tree_is_named(tmp_path: Path, original: str, written: str, sentence: str) -> None:
     """The sentence names the link or joint, in place of MuJoCo's words."""
     with pytest.raises(CellError, match=sentence):
-        read(tmp_path, urdf().replace(given, written, 1))
+        read(tmp_path, urdf().replace(original, written, 1))
 
 
 def test_impossible_inertias_do_not_matter(tmp_path: Path) -> None:

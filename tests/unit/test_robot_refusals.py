@@ -102,5 +102,5 @@ def test_the_arms_without_a_fault_are_read(tmp_path: Path) -> None:
 
 def test_unknown_words_are_introduced_and_cut() -> None:
     """A sentence of the library that has no own words is quoted in ours."""
-    told = describe_refusal(ValueError("Error: " + "x" * 500 + "\nElement 'geom', line 7"))
-    assert told == f"<geom>, line 7: MuJoCo's compiler reports '{'x' * 120}'; correct or remove this element"
+    message = describe_refusal(ValueError("Error: " + "x" * 500 + "\nElement 'geom', line 7"))
+    assert message == f"<geom>, line 7: MuJoCo's compiler reports '{'x' * 120}'; correct or remove this element"

@@ -94,11 +94,11 @@ def test_every_configuration_reaches_the_pose_and_the_first_is_nearest_home() ->
     arm, home = kinematics_of(robot.load()), np.append(np.radians([0.0, -90, 90, 0, 90, 0]), 0.0)
     chain = ArmOnTable(arm, _table(1.2, 0.5, -90.0, 60.0), home, 24)
     T = chain.forward(np.radians([[-20, -60, 110, 40, 50, 70, 15], [5, -75, 100, -20, 60, 0, -45]]))
-    for wanted, found in zip(T, chain.inverse(T), strict=True):
+    for target, found in zip(T, chain.inverse(T), strict=True):
         real = found[~np.isnan(found[:, 0])]
         assert len(real) >= 8
         assert np.isnan(found[len(real) :]).all()
-        np.testing.assert_allclose(chain.forward(real), np.broadcast_to(wanted, (len(real), 4, 4)), atol=1e-9)
+        np.testing.assert_allclose(chain.forward(real), np.broadcast_to(target, (len(real), 4, 4)), atol=1e-9)
         seconds = (np.abs(real - home) / chain.limits.velocity).max(axis=1)
         assert (np.diff(seconds) >= 0).all()
         angles = np.degrees(np.unique(real[:, 6])).round(4)
@@ -287,8 +287,8 @@ def test_a_table_turns_as_far_as_its_part_keeps_clear() -> None:
         assert len(angles) == len({angle % 360 for angle in angles})
         assert ((angles >= lower - 1e-9) & (angles <= upper + 1e-9)).all()
         assert len(angles) == sum(any(lower <= a + k <= upper for k in (-360, 0)) for a in range(-180, 180, 10))
-        kept = world.limits
-        assert (kept.lower[6], kept.upper[6]) == (world.table.lower, world.table.upper)
+        limits = world.limits
+        assert (limits.lower[6], limits.upper[6]) == (world.table.lower, world.table.upper)
     assert any("the rotary table turns its part" in output for output in find_warnings(two))
 
 

@@ -109,8 +109,8 @@ def test_scanner_and_poses_are_the_plans(written: tuple[Run, World]) -> None:
     site = world.model.site("flange").id
     T_base_flange = np.eye(4)
     T_base_flange[:3, :3], T_base_flange[:3, 3] = data.site_xmat[site].reshape(3, 3), data.site_xpos[site]
-    wanted = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
-    np.testing.assert_allclose(scene.scanner_pose(q), wanted, atol=1e-9)
+    expected = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
+    np.testing.assert_allclose(scene.scanner_pose(q), expected, atol=1e-9)
 
 
 def test_the_resolution_can_be_another(written: tuple[Run, World]) -> None:

@@ -90,8 +90,8 @@ def test_a_changed_artefact_is_refused(copy: Path) -> None:
         run.plan  # noqa: B018
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9])
-def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, share: float) -> None:
     """A killed run has no list of artefacts. A cut mesh, array or JSON file is still reported as damaged."""
     _manifest(copy, artefacts={}, status="running", stage="reach")
     run = open_run(copy)
@@ -106,7 +106,7 @@ def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None
     }
     for name, read in readers.items():
         content = (copy / name).read_bytes()
-        (copy / name).write_bytes(content[: int(kept * len(content))])
+        (copy / name).write_bytes(content[: int(share * len(content))])
         with pytest.raises(FileError, match=r"damaged[^\n]*$"):
             read()
 

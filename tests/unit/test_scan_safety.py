@@ -66,11 +66,11 @@ def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
 def test_steel_does_not_move_without_somebody_s_word() -> None:
     """Without a terminal the message names the option. Any answer but yes prevents the motion."""
     with pytest.raises(UsageError, match="--confirm-motion"):
-        safety.require_confirmation(_Controller(), 0.1, _PLAN, given=None, confirm=None)
+        safety.require_confirmation(_Controller(), 0.1, _PLAN, confirmation=None, confirm=None)
     for answer in ("", "y", "no", "yes please"):
         with pytest.raises(UsageError, match="nothing was moved"):
             safety.require_confirmation(
-                _Controller(), 0.1, _PLAN, given=None, confirm=lambda question, output=answer: output
+                _Controller(), 0.1, _PLAN, confirmation=None, confirm=lambda question, output=answer: output
             )
 
 
@@ -82,12 +82,12 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
         questions.append(question)
         return " Yes\n"
 
-    safety.require_confirmation(_Controller(), 0.1, _PLAN, given=None, confirm=yes)
-    safety.require_confirmation(_Controller(), 0.1, _PLAN, given=_PLAN.short_digest, confirm=None)
-    safety.require_confirmation(_Controller(), 0.1, _PLAN, given=_PLAN.digest, confirm=None)
-    safety.require_confirmation(_Controller(hardware=False), 1.0, _PLAN, given=None, confirm=None)
+    safety.require_confirmation(_Controller(), 0.1, _PLAN, confirmation=None, confirm=yes)
+    safety.require_confirmation(_Controller(), 0.1, _PLAN, confirmation=_PLAN.short_digest, confirm=None)
+    safety.require_confirmation(_Controller(), 0.1, _PLAN, confirmation=_PLAN.digest, confirm=None)
+    safety.require_confirmation(_Controller(hardware=False), 1.0, _PLAN, confirmation=None, confirm=None)
     for released in (_PLAN, _PATH):  # a batch, and the new path of a resumed batch
-        safety.require_confirmation(_Controller(), 0.1, released, given=safety.ANY_MOTION, confirm=None)
+        safety.require_confirmation(_Controller(), 0.1, released, confirmation=safety.ANY_MOTION, confirm=None)
     assert len(questions) == 1
     assert f"along the plan {_PLAN.short_digest}" in questions[0]
     assert "KR C4" in questions[0]
@@ -103,22 +103,22 @@ def test_the_question_states_what_a_wire_does_not_report() -> None:
         questions.append(question)
         return "yes"
 
-    safety.require_confirmation(controller, 0.1, _PLAN, given=None, confirm=yes)
+    safety.require_confirmation(controller, 0.1, _PLAN, confirmation=None, confirm=yes)
     assert "; it does not report who else writes its variables. Check that no person" in questions[0]
     with pytest.raises(UsageError, match="does not report who else writes its variables; check"):
-        safety.require_confirmation(controller, 0.1, _PLAN, given=None, confirm=None)
+        safety.require_confirmation(controller, 0.1, _PLAN, confirmation=None, confirm=None)
 
 
 def test_the_digest_of_something_else_is_no_word() -> None:
     """A digest confirms its own motion only. With the digest of the plan, a new path is confirmed at the terminal."""
     other = "c" * 64
     with pytest.raises(UsageError, match=f"which is {_PLAN.short_digest}; nothing was moved"):
-        safety.require_confirmation(_Controller(), 0.1, _PLAN, given=other, confirm=lambda question: "yes")
+        safety.require_confirmation(_Controller(), 0.1, _PLAN, confirmation=other, confirm=lambda question: "yes")
     with pytest.raises(UsageError, match=f"which is {_PATH.short_digest}; nothing was moved"):
-        safety.require_confirmation(_Controller(), 0.1, _PATH, given=_PLAN.digest, confirm=None)
+        safety.require_confirmation(_Controller(), 0.1, _PATH, confirmation=_PLAN.digest, confirm=None)
     with pytest.raises(UsageError, match="not confirmed"):
-        safety.require_confirmation(_Controller(), 0.1, _PATH, given=_PLAN.digest, confirm=lambda question: "no")
-    safety.require_confirmation(_Controller(), 0.1, _PATH, given=_PATH.short_digest, confirm=None)
+        safety.require_confirmation(_Controller(), 0.1, _PATH, confirmation=_PLAN.digest, confirm=lambda question: "no")
+    safety.require_confirmation(_Controller(), 0.1, _PATH, confirmation=_PATH.short_digest, confirm=None)
 
 
 @pytest.mark.parametrize("word", ["yes", "0" * 7, "0" * 65, "0123456z"])

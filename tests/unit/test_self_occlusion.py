@@ -37,9 +37,9 @@ def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
     kinematics = kinematics_of(world.model)
     flange = world.T_base_object @ views.T_object_scanner[:, 0] @ np.linalg.inv(world.T_flange_scanner)
     branches = [q[np.isfinite(q).all(axis=1)] for q in kinematics.inverse(flange)]
-    kept = [k for k, q in enumerate(branches) if len(q)]
-    views = Viewpoints(*(getattr(views, name)[kept] for name in ("T_object_scanner", "face", "standoff", "roll")))
-    solutions = [branches[k] for k in kept]
+    reachable = [k for k, q in enumerate(branches) if len(q)]
+    views = Viewpoints(*(getattr(views, name)[reachable] for name in ("T_object_scanner", "face", "standoff", "roll")))
+    solutions = [branches[k] for k in reachable]
     offsets = np.concatenate([[0], np.cumsum([len(q) for q in solutions])])
     verdict = np.full(len(views), Verdict.REACHABLE, dtype=np.uint8)
     reached = Reach(verdict, np.concatenate(solutions), offsets, ("",) * len(views))
@@ -77,9 +77,11 @@ def test_the_default_mount_is_never_occluded():
     world = _world()
     M, reached, views = _cell(world)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
-    chosen = np.arange(len(views))
-    assert len(chosen) > 10
-    assert arm.update(chosen, np.stack([reached.configurations_of(v)[0] for v in chosen])) is OcclusionUpdate.CLEAR
+    selection = np.arange(len(views))
+    assert len(selection) > 10
+    assert (
+        arm.update(selection, np.stack([reached.configurations_of(v)[0] for v in selection])) is OcclusionUpdate.CLEAR
+    )
     assert arm.M is M
     assert not arm.reasons
 
@@ -89,27 +91,27 @@ def test_exactly_the_hidden_samples_are_removed():
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
-    chosen = np.arange(0, len(views), 6)
+    selection = np.arange(0, len(views), 6)
     looks = []
     for _ in range(20):
-        looks.append(arm.update(chosen, np.stack([arm.configurations(v)[0] for v in chosen])))
+        looks.append(arm.update(selection, np.stack([arm.configurations(v)[0] for v in selection])))
         if looks[-1] is OcclusionUpdate.CLEAR:
             break
     assert looks[0] is OcclusionUpdate.LESS_MEASURED
     assert looks[-1] is OcclusionUpdate.CLEAR
     assert arm.reasons
     points = M.samples.points
-    for view in chosen:
+    for view in selection:
         before, after = _column(M, view), _column(arm.M, view)
         assert set(after) <= set(before)
         q = arm.configurations(view)[0]
         hidden = _hidden(world, views.T_object_scanner[view, 0], q, points[before])
-        lost = np.isin(before, after, invert=True)
+        is_lost = np.isin(before, after, invert=True)
         if view in arm.reasons:
             assert "link_" in arm.reasons[view]
-            np.testing.assert_array_equal(lost, hidden)
+            np.testing.assert_array_equal(is_lost, hidden)
         else:
-            assert not lost.any()
+            assert not is_lost.any()
     untouched = np.setdiff1d(np.arange(len(views)), list(arm.reasons))
     assert (arm.M.matrix()[:, untouched] != M.matrix()[:, untouched]).nnz == 0
 

@@ -32,10 +32,10 @@ def test_without_the_keys_nothing_changes():
 def test_parameters_make_the_same_scanner_again():
     """The stored parameters rebuild the scanner, with the derived tilt."""
     scanner = LaserArea(**BASE, sensor_fov_deg=(30, 20), depth_of_field_mm=(200, 400))
-    kept = scanner.parameters()
-    again = LaserArea(**{key: value for key, value in kept.items() if key != "type"})
-    assert again.parameters() == kept
-    assert kept["sensor_tilt_deg"] == pytest.approx(np.degrees(np.arctan2(100, 300)))
+    parameters = scanner.parameters()
+    again = LaserArea(**{key: value for key, value in parameters.items() if key != "type"})
+    assert again.parameters() == parameters
+    assert parameters["sensor_tilt_deg"] == pytest.approx(np.degrees(np.arctan2(100, 300)))
 
 
 @pytest.mark.parametrize("tilt", [0.0, 10.0, 25.0, -5.0, None])

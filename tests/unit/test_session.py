@@ -34,10 +34,10 @@ def test_streams_that_meet_in_one_run_have_numbers_of_their_own() -> None:
 def test_a_stream_is_seeded_by_the_run_and_its_number() -> None:
     """Equal streams draw equally; another seed, stream or part of a stream draws differently."""
     session = Session(None, seed=7)
-    drawn = session.rng(Stream.SCOUTS).random(4)
-    np.testing.assert_array_equal(drawn, np.random.default_rng([7, 7]).random(4))
+    numbers = session.rng(Stream.SCOUTS).random(4)
+    np.testing.assert_array_equal(numbers, np.random.default_rng([7, 7]).random(4))
     for other in (random_stream(8, Stream.SCOUTS), random_stream(7, Stream.MOTION), random_stream(7, Stream.SCOUTS, 1)):
-        assert not np.array_equal(other.random(4), drawn)
+        assert not np.array_equal(other.random(4), numbers)
 
 
 def test_the_default_effort_is_that_of_the_block() -> None:

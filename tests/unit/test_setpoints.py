@@ -56,15 +56,15 @@ def test_no_solution_and_no_room_are_distinguished():
     assert set(found.pose.tolist()) == {2}
 
 
-@pytest.mark.parametrize("beyond", [-6e-5, -4e-5, 4e-5, 6e-5])
-def test_rounding_never_leaves_the_limits(beyond):
+@pytest.mark.parametrize("excess", [-6e-5, -4e-5, 4e-5, 6e-5])
+def test_rounding_never_leaves_the_limits(excess):
     """An angle within half a step of a limit rounds onto it; no set-point exceeds a limit by even the last bit."""
     upper = np.rad2deg(LIMITS.upper[1:2])
-    branches = degrees((0, upper[0] + beyond, 0, 0, 45, 0))
+    branches = degrees((0, upper[0] + excess, 0, 0, 45, 0))
     found = setpoints(branches, LIMITS)
     assert (found.q <= LIMITS.upper).all()
     assert (found.q >= LIMITS.lower).all()
-    assert (len(found.q) > 0) == (beyond < 5e-5)
+    assert (len(found.q) > 0) == (excess < 5e-5)
     assert np.abs(np.rad2deg(found.q) * 1e4 - np.rint(np.rad2deg(found.q) * 1e4)).max(initial=0.0) < 1e-6
 
 

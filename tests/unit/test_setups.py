@@ -113,9 +113,9 @@ def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], t
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
     offers = proposed_candidates(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 4)
     assert sum("turned" in offer.name for offer in offers) == turned
-    kept = with_fixed_table(scene, world)
+    fixed = with_fixed_table(scene, world)
     for offer in offers:  # the table keeps its pose
-        again = compile_world(offer.scene(kept), box.vertices, part_faces=box.faces, baseline_mm=75.0)
+        again = compile_world(offer.scene(fixed), box.vertices, part_faces=box.faces, baseline_mm=75.0)
         assert again.table is not None
         assert world.table is not None
         np.testing.assert_allclose(again.table.T_base_table, world.table.T_base_table, atol=1e-9)

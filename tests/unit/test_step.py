@@ -68,11 +68,11 @@ def test_triangles_of_a_bore_look_at_its_axis(tmp_path: Path) -> None:
 @needs_cascadio
 def test_a_sheet_outside_the_solids_is_left_out_and_reported(tmp_path: Path) -> None:
     """A sheet outside the solids is left out and reported. The faces of two solids are numbered consecutively."""
-    made = StepFile()
-    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
-    made.block((80, 0, 0), (100, 20, 20), None)
-    made.open_sheet((500, 500, 0), 10)
-    part = load(written(tmp_path, made.text()))
+    file = StepFile()
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    file.block((80, 0, 0), (100, 20, 20), None)
+    file.open_sheet((500, 500, 0), 10)
+    part = load(written(tmp_path, file.text()))
     assert part.size == pytest.approx([0.1, 0.04, 0.03], abs=1e-7)
     assert [finding.kind for finding in part.findings] == [Kind.NO_SOLID, Kind.BODIES]
     assert "100 mm²" in part.findings[0].sentence
@@ -88,17 +88,17 @@ def test_a_sheet_that_touches_the_solid_does_not_open_it(
     tmp_path: Path, edge: list[tuple[float, float, float]], is_first: bool
 ) -> None:
     """A copy of the top face, a flap at its edge, and a triangle on it are left out: the solid is closed."""
-    made = StepFile()
+    file = StepFile()
     y = edge[0][1]
     corners = [(0.0, 0.0, 30.0), (60.0, 0.0, 30.0), (60.0, y, 30.0), (0.0, y, 30.0)] if len(edge) == 1 else edge
     corners = [*corners, (60.0, 40.0, 30.0)] if len(edge) == 2 else corners
     if is_first:
-        made.solids.append(made.sheet_on(*corners))
-        made.block((0, 0, 0), (60, 40, 30), None)
+        file.solids.append(file.sheet_on(*corners))
+        file.block((0, 0, 0), (60, 40, 30), None)
     else:
-        made.block((0, 0, 0), (60, 40, 30), None)
-        made.solids.append(made.sheet_on(*corners))
-    part = load(written(tmp_path, made.text()))
+        file.block((0, 0, 0), (60, 40, 30), None)
+        file.solids.append(file.sheet_on(*corners))
+    part = load(written(tmp_path, file.text()))
     assert [finding.kind for finding in part.findings] == [Kind.NO_SOLID]
     assert part.cad.counts() == {"plane": 6}
     assert part.reference.areas.sum() == pytest.approx(10_800e-6)
@@ -108,16 +108,16 @@ def test_a_sheet_that_touches_the_solid_does_not_open_it(
 @needs_cascadio
 def test_the_tessellated_copy_of_a_solid_is_no_second_body(tmp_path: Path) -> None:
     """A file can have both forms of a part; triangles alone are read, too."""
-    made = StepFile()
-    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
-    made.others.append(
-        ("TESSELLATED_SHAPE_REPRESENTATION", made.tessellated_block((60, 40, 30), made.solids[0]), "copy")
+    file = StepFile()
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    file.others.append(
+        ("TESSELLATED_SHAPE_REPRESENTATION", file.tessellated_block((60, 40, 30), file.solids[0]), "copy")
     )
-    part = load(written(tmp_path, made.text()))
+    part = load(written(tmp_path, file.text()))
     assert (part.findings, part.cad.counts()) == ((), {"plane": 6, "cylinder": 1})
-    made = StepFile()
-    made.solids.append(made.tessellated_block((60, 40, 30)))
-    part = load(written(tmp_path, made.text()))
+    file = StepFile()
+    file.solids.append(file.tessellated_block((60, 40, 30)))
+    part = load(written(tmp_path, file.text()))
     assert (part.findings, volume(part)) == ((), pytest.approx(72_000e-9))
 
 
@@ -125,9 +125,9 @@ def test_the_tessellated_copy_of_a_solid_is_no_second_body(tmp_path: Path) -> No
 @pytest.mark.parametrize("radius", [1.0, 8.0, 50.0])
 def test_round_parts_have_their_volume_within_a_thousandth(tmp_path: Path, radius: float) -> None:
     """A cylinder of any size is triangulated finer until its volume is right."""
-    made = StepFile()
-    made.cylinder(radius, 30)
-    part = load(written(tmp_path, made.text()))
+    file = StepFile()
+    file.cylinder(radius, 30)
+    part = load(written(tmp_path, file.text()))
     assert volume(part) == pytest.approx(math.pi * radius**2 * 30e-9, rel=MAX_VOLUME_ERROR)
     assert part.findings == ()
     check_faces(part)
@@ -137,9 +137,9 @@ def test_round_parts_have_their_volume_within_a_thousandth(tmp_path: Path, radiu
 def test_a_volume_that_is_not_reached_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With an unreachable limit, the difference is stated in percent."""
     monkeypatch.setattr(cad, "MAX_VOLUME_ERROR", 1e-9)
-    made = StepFile()
-    made.cylinder(50, 3)
-    part = load(written(tmp_path, made.text()))
+    file = StepFile()
+    file.cylinder(50, 3)
+    part = load(written(tmp_path, file.text()))
     assert [finding.kind for finding in part.findings] == [Kind.COARSE]
     assert re.search(r"by 0\.00\d+ % of the volume", part.findings[0].sentence)
 
@@ -147,9 +147,9 @@ def test_a_volume_that_is_not_reached_is_reported(tmp_path: Path, monkeypatch: p
 @needs_cascadio
 def test_surfaces_alone_are_used_and_reported_as_open(tmp_path: Path) -> None:
     """A file without solids gives its surfaces, which are reported as open."""
-    made = StepFile()
-    made.open_sheet((0, 0, 0), 50)
-    part = load(written(tmp_path, made.text()))
+    file = StepFile()
+    file.open_sheet((0, 0, 0), 50)
+    part = load(written(tmp_path, file.text()))
     assert part.cad.counts() == {"plane": 1}
     assert Kind.OPEN in [finding.kind for finding in part.findings]
 
@@ -220,15 +220,15 @@ def test_a_byte_order_mark_is_no_part_of_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("by_layer", [False, True])
 def test_hidden_bodies_are_left_out_and_reported(tmp_path: Path, by_layer: bool) -> None:
     """A solid that the CAD program hides, itself or by its layer, is not measured."""
-    made = StepFile()
-    made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
-    made.block((80, 0, 0), (100, 20, 20), None)
-    hidden = made.solids[1]
-    item = made.add(f"STYLED_ITEM('',(),{hidden})")
+    file = StepFile()
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    file.block((80, 0, 0), (100, 20, 20), None)
+    hidden = file.solids[1]
+    item = file.add(f"STYLED_ITEM('',(),{hidden})")
     if by_layer:
-        item = made.add(f"PRESENTATION_LAYER_ASSIGNMENT('off','',({item}))")
-    made.add(f"INVISIBILITY(({item}))")
-    part = load(written(tmp_path, made.text()))
+        item = file.add(f"PRESENTATION_LAYER_ASSIGNMENT('off','',({item}))")
+    file.add(f"INVISIBILITY(({item}))")
+    part = load(written(tmp_path, file.text()))
     assert part.size == pytest.approx([0.06, 0.04, 0.03], abs=1e-7)
     assert "1 hidden body is left out" in part.findings[0].sentence
 

@@ -85,9 +85,9 @@ def test_the_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_p
     """The page repeats the command of the best row at the top. Studies of earlier versions have a page too."""
     page = (conducted / "view.html").read_text(encoding="utf-8")
     (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
-    drawn, file = base64.b64decode(picture).decode(), (conducted / "views.svg").read_text(encoding="utf-8")
-    assert drawn.count("<path") == file.count("<path") > 0
-    assert ("prefers-color-scheme:dark" in drawn, "#000000" in drawn) == (True, False)
+    image, file = base64.b64decode(picture).decode(), (conducted / "views.svg").read_text(encoding="utf-8")
+    assert image.count("<path") == file.count("<path") > 0
+    assert ("prefers-color-scheme:dark" in image, "#000000" in image) == (True, False)
     assert re.findall(r"<code>([^<]*)</code>", page) == [f"cell plan --faces {n}" for n in (10, 8, 10)]
     assert page.count(" class=best>") == 1
     assert page.count("<script") == 2
@@ -109,8 +109,8 @@ def test_the_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_p
 @pytest.mark.parametrize(("knob", "value"), [("standoff", 250.0), ("baseline", 30.0), ("sensors", "gocator-2340")])
 def test_the_options_of_a_row_are_the_settings_of_its_trial(knob: str, value: object) -> None:
     """The options of a row, parsed by the command line, give the keys of the study."""
-    _, given = PARAMETERS[knob]
-    keys = given(value)
+    _, keys_of = PARAMETERS[knob]
+    keys = keys_of(value)
     words = (word.removeprefix("--").partition("=") for word in shlex.split(plan_options(keys)))
     assert option_tables({name: text for name, _, text in words}) == keys
     text = plan_options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})

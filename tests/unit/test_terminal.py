@@ -36,8 +36,8 @@ def test_a_long_stage_tells_each_tenth_where_no_bar_is_seen(capsys: pytest.Captu
         progress(1, 1)
     assert capsys.readouterr().err == ""
     with Terminal().stage("long", time_left=True) as progress:
-        for done in range(87):
-            progress(done, 86)
+        for n_done in range(87):
+            progress(n_done, 86)
     lines = capsys.readouterr().err.splitlines()
     assert (len(lines), lines[0], lines[-1]) == (10, "long: 9 of 86", "long: 86 of 86")
 
@@ -49,7 +49,7 @@ def test_a_bar_states_total_and_remaining_time(monkeypatch: pytest.MonkeyPatch) 
     number = bars.add_task("stage", total=None)
     task = bars.tasks[number]
     assert str(column.render(task)) == ""
-    for done in range(5):
-        now = 10.0 * done
-        bars.update(task.id, completed=20 * done, total=200)
+    for n_done in range(5):
+        now = 10.0 * n_done
+        bars.update(task.id, completed=20 * n_done, total=200)
     assert str(column.render(task)) == "80 of 200, 1:00 left"

@@ -72,8 +72,8 @@ def test_the_tour_contains_every_sweep_and_is_the_shortest() -> None:
                 at = path.q[-1]
             best = min(best, time + float(move_time(at, HOME, LIMITS)))
     assert tour.duration == pytest.approx(best, abs=1e-9)
-    chosen = [paths[view][choice] for view, choice in zip(tour.order, tour.choice, strict=True)]
-    for path, row, view, q in zip(chosen, tour.entered, tour.order, tour.q, strict=True):
+    selection = [paths[view][choice] for view, choice in zip(tour.order, tour.choice, strict=True)]
+    for path, row, view, q in zip(selection, tour.entered, tour.order, tour.q, strict=True):
         own = slice(row, row + len(path.q))
         np.testing.assert_array_equal(tour.via[own], path.q)
         np.testing.assert_array_equal(tour.pose[own], path.pose)
@@ -81,7 +81,7 @@ def test_the_tour_contains_every_sweep_and_is_the_shortest() -> None:
         assert np.ptp(tour.segment[own]) == 0
         np.testing.assert_array_equal(q, path.measured_q[4])
     assert (tour.view >= 0).sum() == 32
-    lines = {int(row): TimedSweep(path, MOUNT, KINEMATICS) for row, path in zip(tour.entered, chosen, strict=True)}
+    lines = {int(row): TimedSweep(path, MOUNT, KINEMATICS) for row, path in zip(tour.entered, selection, strict=True)}
     motion = retime(tour.via, tour.segment, tour.view, LIMITS, pose=tour.pose, lines=lines)
     assert motion.duration == pytest.approx(tour.duration, abs=1e-9)
     assert motion.view[motion.stops].tolist() == tour.order.tolist()
@@ -94,7 +94,7 @@ def test_a_sweep_with_a_blocked_end_is_dropped() -> None:
     ends = np.degrees(np.sort([paths[1][0].q[0][0], paths[1][0].q[-1][0]]))
     wall = _FreeSpace((float(ends[0]) - 0.2, float(ends[0]) + 0.2))
     tour = plan_tour(_visits(paths, poses), wall, LIMITS, np.random.default_rng(0))
-    assert 1 in [lost.view for lost in tour.dropped]
+    assert 1 in [exclusion.view for exclusion in tour.dropped]
     assert 1 not in tour.order.tolist()
 
 

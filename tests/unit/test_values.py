@@ -72,9 +72,9 @@ def test_wrong_shapes_and_nan_are_refused(changes: dict[str, object], sentence: 
 
 def test_arrays_are_cast_read_only_copies() -> None:
     """Later changes of the arguments do not affect the value, and its own arrays are read-only."""
-    given = np.asfortranarray(np.arange(12.0).reshape(2, 6))
-    value = motion(via=given, sigma=[1, np.inf])
-    given[:] = -1.0
+    original = np.asfortranarray(np.arange(12.0).reshape(2, 6))
+    value = motion(via=original, sigma=[1, np.inf])
+    original[:] = -1.0
     np.testing.assert_array_equal(value.via, np.arange(12.0).reshape(2, 6))
     assert value.via.flags.c_contiguous
     kinds = [array.dtype for array in (value.via, value.pose, value.start, value.anything, value.sigma)]
@@ -104,12 +104,12 @@ def test_known_lengths_are_checked() -> None:
 
 def test_a_single_array_has_the_same_messages() -> None:
     """`readonly` copies and refuses like a value, with the same messages."""
-    given = np.zeros((2, 3))
-    taken = readonly("ends", given, (None, 3))
-    assert not np.shares_memory(taken, given)
-    assert not taken.flags.writeable
+    original = np.zeros((2, 3))
+    copy = readonly("ends", original, (None, 3))
+    assert not np.shares_memory(copy, original)
+    assert not copy.flags.writeable
     with pytest.raises(PlannerError, match=re.escape("ends has shape (2, 3); it must be (any, 4)")):
-        readonly("ends", given, (None, 4))
+        readonly("ends", original, (None, 4))
     with pytest.raises(PlannerError, match="ends contains NaN"):
         readonly("ends", [np.nan], (1,))
 

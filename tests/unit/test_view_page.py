@@ -63,11 +63,11 @@ def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
     """Views, motion and part equal those of the run's files, to the resolution of the quantisation."""
     data, plan, motion = data_of(page), run.plan, run.motion
     assert [view["number"] for view in data["views"]] == [str(k + 1) for k in range(len(plan.views))]
-    for shown, view in zip(data["views"], plan.views, strict=True):
-        np.testing.assert_allclose(shown["T_base_scanner"], view.T_base_scanner, atol=1e-8)
-        at = np.array([np.interp(shown["time"], motion.t, motion.q[:, axis]) for axis in range(6)])
+    for entry, view in zip(data["views"], plan.views, strict=True):
+        np.testing.assert_allclose(entry["T_base_scanner"], view.T_base_scanner, atol=1e-8)
+        at = np.array([np.interp(entry["time"], motion.t, motion.q[:, axis]) for axis in range(6)])
         np.testing.assert_allclose(at, view.q, atol=1e-4)
-        (moved,) = (text.rpartition(":")[2] for text in shown["commands"] if "--move" in text)
+        (moved,) = (text.rpartition(":")[2] for text in entry["commands"] if "--move" in text)
         xyz, abc = np.split(np.array(moved.split(","), dtype=float), 2)
         same = pose_from_kuka_abc(xyz / 1000, np.radians(abc))
         np.testing.assert_allclose(same, view.T_base_scanner, atol=3e-5)  # the command to paste has the current pose
@@ -76,9 +76,9 @@ def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
     np.testing.assert_allclose(q[[0, -1]], motion.q[[0, -1]], atol=1e-6)
     (part,) = data["surfaces"]
     reference = run.mesh("reference.ply").vertices
-    drawn = places(part["mesh"]["vertices"])
-    np.testing.assert_allclose([drawn.min(0), drawn.max(0)], [reference.min(0), reference.max(0)], atol=1e-3)
-    assert unpacked(part["mesh"]["faces"]).max() < len(drawn)
+    vertices = places(part["mesh"]["vertices"])
+    np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [reference.min(0), reference.max(0)], atol=1e-3)
+    assert unpacked(part["mesh"]["faces"]).max() < len(vertices)
 
 
 def test_the_colours_count_the_measuring_views(page: str, run: Run, data_of: DataOf) -> None:
@@ -116,10 +116,10 @@ def test_a_name_is_never_markup(run: Run, data_of: DataOf) -> None:
         [PageView(_EVIL, np.eye(4), 0.0, [(_EVIL, _EVIL)], [_EVIL])], rows=[(_EVIL, _EVIL)], problems=[_EVIL],
         notes=[_EVIL], next_commands=[_EVIL],
     )  # fmt: skip
-    made = render_page(PageScene(_EVIL, cell, [PageSurface(_EVIL, mesh, [layer])]), contents)
-    assert _EVIL not in made
-    assert made.lower().count("<script") == made.lower().count("</script") == 4
-    data = data_of(made)
+    page_text = render_page(PageScene(_EVIL, cell, [PageSurface(_EVIL, mesh, [layer])]), contents)
+    assert _EVIL not in page_text
+    assert page_text.lower().count("<script") == page_text.lower().count("</script") == 4
+    data = data_of(page_text)
     report = run.report
     renamed = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
     assert "<script" not in markdown(renamed)

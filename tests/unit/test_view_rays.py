@@ -46,12 +46,12 @@ def test_a_line_behind_a_surface_is_hidden() -> None:
     caster = EmbreeRayCaster(vertices, faces)
     around = np.array([[-0.3, -0.3, -0.3], [0.3, 0.3, 0.3]])
     camera = rays.fit_camera(around, np.array([1.0, 0.0, 0.0]), (200, 200), parallel=True)
-    drawn, seen = rays.render(
+    image, seen = rays.render(
         camera, lambda o, d: (np.ones((len(o), 3)), caster.first_hit(o, d).distance)
     )  # all pixels are white
     stroke = np.array([[[0.0, -0.25, 0.0], [0.0, 0.25, 0.0]]])
-    rays.draw_lines(drawn, seen, stroke, "#ff0000", width=3, hidden="#0000ff")
-    row = np.asarray(drawn)[100].astype(int)
+    rays.draw_lines(image, seen, stroke, "#ff0000", width=3, hidden="#0000ff")
+    row = np.asarray(image)[100].astype(int)
     red, blue = np.flatnonzero(row[:, 0] - row[:, 2] > 100), np.flatnonzero(row[:, 2] - row[:, 0] > 100)
     assert len(red) > 50
     assert len(blue) > 50
@@ -62,9 +62,9 @@ def test_labels_do_not_overlap() -> None:
     """Thirty numbers at one place have as many dark pixels as thirty separate ones."""
 
     def ink(places: np.ndarray) -> int:
-        drawn = Image.new("RGB", (600, 600), "white")
-        rays.draw_labels(drawn, places, [str(k) for k in range(10, 40)], size=12)
-        dark = np.asarray(drawn).astype(int)
+        image = Image.new("RGB", (600, 600), "white")
+        rays.draw_labels(image, places, [str(k) for k in range(10, 40)], size=12)
+        dark = np.asarray(image).astype(int)
         return int((dark.max(axis=2) < 60).sum())
 
     apart = np.array([[60 + 90 * (k % 6), 60 + 100 * (k // 6)] for k in range(30)], dtype=float)
@@ -73,7 +73,7 @@ def test_labels_do_not_overlap() -> None:
 
 
 @pytest.fixture(scope="module")
-def shown(planned: Path) -> tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]:
+def planned_view(planned: Path) -> tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]:
     """Return the planned cell, its part, the joint angles at a view, and all views."""
     run = open_run(planned)
     cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
@@ -82,18 +82,20 @@ def shown(planned: Path) -> tuple[CellGeometry, TriangleMesh, np.ndarray, np.nda
     return cell, part, views[best_view(cell, part, poses)].q, poses
 
 
-def test_a_wall_in_front_is_translucent(shown: tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]) -> None:
+def test_a_wall_in_front_is_translucent(
+    planned_view: tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray],
+) -> None:
     """The robot is visible through the wall. From the other side the wall is opaque, and it can be hidden."""
-    cell, part, q, views = shown
+    cell, part, q, views = planned_view
     vertices, faces = box_triangles(np.array([1.2, 0.02, 1.2]))
     wall = Piece("wall", 0, vertices + np.array([0.6, -1.2, 0.4]), faces, np.array([0.2, 0.3, 0.9]))
     walled = replace(cell, pieces=(*cell.pieces, wall))
 
     def colours(azimuth: float, *hide: str, of: CellGeometry = walled) -> np.ndarray:
-        drawn, _ = draw_cell(
+        image, _ = draw_cell(
             of, part, q, views=views, path=np.zeros((0, 3)), size=_SIZE, camera=(azimuth, 10.0), hide=hide
         )
-        return np.asarray(drawn).astype(int)
+        return np.asarray(image).astype(int)
 
     def orange(picture: np.ndarray) -> int:
         return int((picture[..., 0] > picture[..., 2] + 60).sum())
@@ -120,8 +122,8 @@ def test_the_picture_of_the_report_obeys_its_options(planned: Path, tmp_path: Pa
         figures.cell_with_arm(
             path, q=q, T_base_scanner=poses, source_path=way, camera_deg=np.array(camera), hide=hidden
         )
-        with Image.open(path) as drawn:
-            return np.asarray(drawn).astype(int)
+        with Image.open(path) as image:
+            return np.asarray(image).astype(int)
 
     def orange(seen: np.ndarray) -> int:
         return int(((seen[..., 0] > 150) & (seen[..., 2] < 40)).sum())

@@ -129,8 +129,8 @@ def test_the_grazing_angle_is_exact_and_the_smallest_sufficient_limit_is_that_an
         for limit in limits
     ]  # fmt: skip
     assert limits[int(np.argmax(gains))] == angle_deg
-    named = select_changes(np.array(gains, float), [ChangeKind.GRAZING] * len(limits), (limits - 75).tolist())
-    assert [int(limits[i]) for i in named] == [angle_deg]
+    selection = select_changes(np.array(gains, float), [ChangeKind.GRAZING] * len(limits), (limits - 75).tolist())
+    assert [int(limits[i]) for i in selection] == [angle_deg]
 
 
 def test_the_verdict_of_the_robot_counts_only_if_the_scanner_would_measure() -> None:
@@ -158,9 +158,9 @@ def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None
     points, normals = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tilt, standoff = np.radians(35.0), 0.25
-    made = what_if.tilted_viewpoints(points, normals, tilt, 8, standoff, [0.0, np.pi / 2])
-    assert len(made) == 7 * 8 * 2
-    T = made.T_object_scanner[:, 0]
+    viewpoints = what_if.tilted_viewpoints(points, normals, tilt, 8, standoff, [0.0, np.pi / 2])
+    assert len(viewpoints) == 7 * 8 * 2
+    T = viewpoints.T_object_scanner[:, 0]
     point, normal = np.repeat(points, 16, axis=0), np.repeat(normals, 16, axis=0)
     np.testing.assert_allclose(T[:, :3, 3] + standoff * T[:, :3, 2], point, atol=1e-12)
     np.testing.assert_allclose(np.einsum("nj,nj->n", -T[:, :3, 2], normal), np.cos(tilt), atol=1e-12)

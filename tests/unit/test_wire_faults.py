@@ -88,8 +88,8 @@ def test_equal_seeds_disturb_equal_telegrams() -> None:
 def test_a_fault_occurs_at_its_rate() -> None:
     """The number of faults in 20,000 telegrams is within five standard deviations of its expectation."""
     wire = injector("drop=0.05")
-    lost = Counter(not wire.transmit("request", TELEGRAM) for _ in range(20_000))[True]
-    assert abs(lost - 1000) < 5 * np.sqrt(20_000 * 0.05 * 0.95)
+    n_lost = Counter(not wire.transmit("request", TELEGRAM) for _ in range(20_000))[True]
+    assert abs(n_lost - 1000) < 5 * np.sqrt(20_000 * 0.05 * 0.95)
 
 
 def test_an_emulated_controller_listens_on_the_loopback_interface_only() -> None:

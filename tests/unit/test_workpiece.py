@@ -264,14 +264,14 @@ def test_mixed_winding_with_most_faces_inward_ends_outward() -> None:
 def test_an_open_surface_keeps_its_winding_and_is_reported() -> None:
     """Half a sphere gives a warning with the number of border edges, and no face is flipped."""
     mesh = body()
-    kept = mesh.triangles_center[:, 2] > 30.0
-    faces = np.array(mesh.faces)[kept]
+    is_upper = mesh.triangles_center[:, 2] > 30.0
+    faces = np.array(mesh.faces)[is_upper]
     part = from_mesh("part", np.array(mesh.vertices), faces, "mm", "")
     assert kinds(part) == [Kind.OPEN]
     assert part.findings[0].severity is Severity.WARNING
     border = len(trimesh.Trimesh(mesh.vertices, faces).outline().entities[0].points) - 1
     assert f"({border} border edges)" in part.findings[0].sentence
-    assert len(part.reference.faces) == kept.sum()
+    assert len(part.reference.faces) == is_upper.sum()
 
 
 def test_an_open_surface_that_is_inside_out_is_doubted_not_changed() -> None:
