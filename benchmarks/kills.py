@@ -90,7 +90,7 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
                  *word, "--speed", "1", "--accept-time-scale", _TIME_SCALE],
                 cwd=base, capture_output=True, text=True, timeout=_PATIENCE_S, check=False,
             )  # fmt: skip
-            if own := re.search("not the digest of the new way.* which is ([0-9a-f]+)", process.stderr):
+            if own := re.search("not the digest of the new path.* which is ([0-9a-f]+)", process.stderr):
                 word = _word(own[1])
                 continue
             times += 1
