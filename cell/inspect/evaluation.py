@@ -18,8 +18,8 @@ import numpy as np
 
 from cell.inspect.alignment import common_element, datum_frame, moved
 from cell.inspect.features import Characteristic, InspectionPlan, distance_between
-from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch
-from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal
+from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch, off_surface
+from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal, surround
 from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, Shape, ShapeKind
 from planner.geometry.closest import ClosestPointQuery
 from planner.registration.rigid import transform_points
@@ -199,6 +199,13 @@ class Evaluation:
                 count = int(self._cells((feature.name, 0)).is_dense.sum())
                 if count < (least := _FORM_CELLS.get(characteristic.kind, 0)):
                     own.append(f"points for {count} means, and its form needs {least}")
+                if characteristic.criterion != "least-squares":
+                    points, shape = self._dense_points((feature.name, 0)), self._patch_shape((feature.name, 0))
+                    if not surround(points, shape):
+                        own.append(
+                            f"its points lie on one side of it, and its {characteristic.criterion} diameter needs them "
+                            "all around"
+                        )
             found += [f"{feature.name}: {cause}" for cause in own]
         return found
 
@@ -353,7 +360,7 @@ class Evaluation:
             points, sign = self._dense_points(own), 1.0 if criterion is Criterion.CIRCUMSCRIBED else -1.0
             size = fit_extremal(criterion, points, self._patch_shape(own)).shape.size
             return _Model(
-                lambda s: s[own].size + s[own].distances(points),
+                lambda s: s[own].size + off_surface(s[own], points),
                 lambda g: 2 * sign * (sign * g).max(axis=-1),
                 f"{criterion.value} {kind}",
                 (own,),
@@ -394,11 +401,7 @@ class Evaluation:
         points, shape = self._dense_points(own), self._patch_shape(own)
 
         def residuals(s: Shapes) -> Floats:
-            if s[own].kind is not ShapeKind.CIRCLE:
-                return s[own].distances(points)
-            across = points - s[own].point
-            across = across - (across @ s[own].axis)[:, None] * s[own].axis
-            return np.asarray(np.linalg.norm(across, axis=1) - s[own].size)
+            return off_surface(s[own], points)
 
         local = (points - shape.point) @ shape.frame
         sections, method = np.zeros(len(points), np.int64), "minimum zone of cell means"

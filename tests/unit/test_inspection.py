@@ -440,6 +440,33 @@ class TestDegenerateFeatures:
         assert found.expanded_uncertainty is not None
         assert abs(found.value - 16) < 1.5 * found.expanded_uncertainty
 
+    @pytest.mark.parametrize("criterion", ["inscribed", "circumscribed"])
+    @pytest.mark.parametrize(("kind", "half_deg", "has_value"), [
+        ("cylinder", 80, False), ("cylinder", 120, True), ("circle", 80, False), ("circle", 120, True)])  # fmt: skip
+    def test_an_extremal_diameter_needs_points_all_around(
+        self, block: Workpiece, criterion: str, kind: str, half_deg: float, has_value: bool
+    ) -> None:
+        """The largest circle inside an arc below a half turn has no limit, and the smallest one around it is smaller.
+
+        Of a circle, points anywhere along the bore have the deviation of their radius.
+        """
+        size = {"kind": "size", "criterion": criterion, **LIMITS}
+        plan = plan_of(block, [{"name": "bore", "faces": (7,), "kind": kind, "characteristic": [size]}])
+        points = points_on(block, 60_000, 1e-5)
+        off = points[:, :2] - [0.03, 0.02]
+        on_bore = np.linalg.norm(off, axis=1) < 0.0081
+        arc = np.abs(np.degrees(np.arctan2(off[:, 1], off[:, 0]))) < half_deg
+        done = inspected(block, points[on_bore & arc], plan, sigma=1e-5)
+        found = done.result.characteristics[0]
+        assert ("needs them all around" in found.cause) != has_value
+        assert np.abs(done.features["bore"].patches[0].deviations).max() < 3e-5
+        if has_value:
+            assert found.expanded_uncertainty is not None
+            assert 0.005 < found.expanded_uncertainty < 0.03  # about three standard deviations of a cell on each side
+            assert found.value == pytest.approx(16, abs=1.5 * found.expanded_uncertainty)
+        else:
+            assert found.value is None
+
     def test_a_datum_plane_of_nearly_collinear_points(self, block: Workpiece) -> None:
         """Only what depends on the tilt of the datum about the line of its points is in doubt."""
         points = points_on(block, 60_000, 1e-5)
