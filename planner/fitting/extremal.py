@@ -97,8 +97,9 @@ def surround(points: Floats, shape: Shape) -> bool:
         normals = normals @ shape.frame[:, :2]
     n = normals.shape[1]
     A = np.hstack([-normals, np.ones((len(normals), 1))])  # each normal has at least the last variable along a vector
-    solved = linprog([0.0] * n + [-1.0], A, np.zeros(len(A)), bounds=[(-1, 1)] * n + [(0, 1)], method="highs")
-    return bool(-solved.fun < _ONE_SIDE)
+    solved = linprog([0.0] * n + [-1.0], A, np.zeros(len(A)), bounds=[(-1, 1)] * n + [(0, 1)], method="highs").x
+    assert solved is not None, "the origin is a solution"
+    return bool(solved[n] < _ONE_SIDE)
 
 
 def _objective(criterion: Criterion, distances: Floats, size: float) -> float:

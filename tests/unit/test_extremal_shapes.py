@@ -83,6 +83,7 @@ def value_of(criterion: Criterion, points: Floats, start: Shape) -> float:
 @pytest.mark.parametrize("criterion", list(Criterion))
 @pytest.mark.parametrize("seed", range(6))
 def test_extremal_spheres_are_the_best_of_all_supports(criterion: Criterion, seed: int) -> None:
+    """Spheres through two to five of the points."""
     points = rough(ShapeKind.SPHERE, 14, np.random.default_rng(seed))
     found = value_of(criterion, points, fit(ShapeKind.SPHERE, points).shape)
     assert found == pytest.approx(best_of_supports(points, criterion), rel=1e-7)
@@ -101,7 +102,7 @@ def test_extremal_cylinders_are_the_best_over_axes_and_circles(criterion: Criter
         return sign * best_of_supports(points @ across[:, :2], criterion)
 
     middle, axes = start.axis[:2] / start.axis[2], np.linspace(-0.04, 0.04, 9)
-    grid = sorted(((along(middle + [x, y]), x, y) for x in axes for y in axes))[:3]
+    grid = sorted((along(middle + np.array([x, y])), x, y) for x in axes for y in axes)[:3]
     corners = 0.005 * np.array([[0, 0], [1, 0], [0, 1]])
     options = {"xatol": 1e-11, "fatol": 1e-13}
     refined = [

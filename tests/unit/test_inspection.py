@@ -12,17 +12,18 @@ from pydantic import ValidationError
 from benchmarks.inspection import block_bench, scan_values
 from cell.errors import FileError, SceneError
 from cell.inspect.alignment import common_element, datum_frame, fit_reference_points, moved
-from cell.inspect.evaluation import Verdict, verdict_of
+from cell.inspect.evaluation import Evaluation, Measurement, Verdict, verdict_of
 from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, resolve_features
 from cell.inspect.inspection import Inspected, align, inspect_points
 from cell.inspect.measured import Association, MeasuredPoints, measure_features
-from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, main_source, predict_features, predicted_measurements
 from cell.inspect.qif import read_qif
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import as_csv
 from cell.metrology.inspect import located, points_of_setups
 from cell.metrology.options import InspectOptions
 from cell.part.workpiece import Workpiece, from_trusted_mesh, load
+from cell.plan.uncertainty import _raise_demand
 from cell.scanners.laser_area import LaserArea
 from cell.scene.features import FeatureTable
 from cell.world.embree import EmbreeRayCaster
@@ -707,6 +708,58 @@ class TestPrediction:
             assert each.expanded_uncertainty is not None
             assert stated[0, k] == pytest.approx(each.expanded_uncertainty, rel=0.25), each.characteristic.name
             assert np.quantile(error, 0.95) == pytest.approx(each.expanded_uncertainty, rel=0.35)
+
+    @pytest.mark.parametrize(("name", "words"), [
+        ("right: distance", "is from left"), ("bore: position", "mostly A (top)"),
+        ("right: profile", "mostly C (left)"),
+    ])  # fmt: skip
+    def test_contributions_are_the_variances_without_the_other_features(
+        self, block: Workpiece, name: str, words: str
+    ) -> None:
+        """The noise of one feature at a time gives its share; that of the datums A, B, C is ten times as large."""
+        plan, points = plan_of(block), points_on(block, 20_000)
+        association = Association(block.reference, plan)
+        c = next(each for each in plan.characteristics if each.name == name)
+        features = plan.features_of(c)
+
+        def evaluated(names: list[str]) -> Evaluation:
+            measured, sigma = single_view(points), np.zeros(len(points))
+            rows = association.rows(points)
+            for each in names:
+                sigma[np.concatenate(rows[each])] = 1e-4 if plan.feature(each).datum else 1e-5
+            found = measure_features(association, replace(measured, sigma=sigma))
+            return Evaluation(plan, found, association.nearest, np.zeros((1, 2)))
+
+        every = [each.name for each in features]
+        shares = evaluated(every).contributions(c)
+        variances = {each: (evaluated([each]).measure(c).expanded_uncertainty or 0.0) ** 2 for each in every}
+        largest = max(variances, key=variances.__getitem__)
+        assert max(shares, key=shares.__getitem__) == largest
+        if name == "right: distance":  # others are quantiles of a largest deviation
+            assert shares == pytest.approx({each: one / sum(variances.values()) for each, one in variances.items()})
+        assert main_source(plan, c, shares).endswith(words)
+
+    def test_views_are_demanded_for_what_makes_a_value_uncertain(self, block: Workpiece) -> None:
+        """A datum of which too little is measured, then the datum that has most of the variance."""
+        plan, views = plan_of(block), self.views()
+        association = Association(block.reference, plan)
+        caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
+        scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.5, 0.5))
+
+        def raised(views: Floats, name: str, shares: dict[str, float]) -> set[str]:
+            features = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
+            c = next(each for each in plan.characteristics if each.name == name)
+            predicted = Measurement(c, 1.0, 1.0, Verdict.UNDECIDED, "", contributions=shares)
+            demand = np.ones(len(block.reference.faces), dtype=np.int64)
+            _raise_demand(demand, plan, predicted, features, association, 1.8)
+            return {
+                each.name for each in plan.features
+                if all((demand[own.triangles] > 1).all() for own in association.surfaces[each.name])
+            }  # fmt: skip
+
+        shares = {"right": 0.05, "top": 0.85, "front": 0.05, "left": 0.05}
+        assert raised(views, "right: profile", shares) == {"top"}
+        assert raised(views[[0, 1, 3, 4, 5]], "right: profile", shares) == {"left"}
 
     def test_a_feature_that_no_view_measures_is_named(self, block: Workpiece) -> None:
         _, cause = self.predict(block, self.views()[:5])["bottom: parallelism"]

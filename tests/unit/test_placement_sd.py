@@ -1,4 +1,4 @@
-"""The standard deviations of a registered part's placement against repeated fits and the covariance of least squares."""
+"""Standard deviations of a registered part's placement against repeated fits and the covariance of least squares."""
 
 import numpy as np
 import pytest
@@ -59,6 +59,7 @@ def test_it_is_the_scatter_of_repeated_fits(blocks: int | None) -> None:
 
 
 def test_of_noise_it_is_the_covariance_of_least_squares() -> None:
+    """The covariance of least squares is sigma^2 (J' J)^-1."""
     nearest, points, normals = plate()
     rng, sd, centre = np.random.default_rng(2), 2e-5, points.mean(axis=0)
     J = np.hstack([normals, np.cross(points - centre, normals)])
