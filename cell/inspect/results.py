@@ -251,9 +251,9 @@ def markdown(result: InspectionResult) -> list[str]:
     """Return the section of a report."""
     heading, rows = table_rows(result)
     title = "Predicted uncertainty of the characteristics" if result.is_predicted else "Characteristics"
-    simulated = " **Simulated points.**" if result.is_simulated and not result.is_predicted else ""
-    lines = [f"## {title}", "", f"{'' if result.is_predicted else result.summary + '.'}{simulated} "
-             f"Source: {html.escape(result.characteristics_source)}.", ""]  # fmt: skip
+    begin = [] if result.is_predicted else [f"{result.summary}."]
+    begin += ["**Simulated points.**"] if result.is_simulated and not result.is_predicted else []
+    lines = [f"## {title}", "", " ".join([*begin, f"Source: {html.escape(result.characteristics_source)}."]), ""]
     lines += ["| " + " | ".join(heading) + " |", "|" + "---|" * len(heading)]
     lines += ["| " + " | ".join(html.escape(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
     if not result.is_predicted:

@@ -165,6 +165,33 @@ class TestQif:
         assert by_name["Position 43"].datums == ("A",)
         assert "bonus" in by_name["Position 43"].note
 
+    @pytest.mark.parametrize(
+        ("unit", "value"), [("degree", 0.5), ("radian", 0.008726646), ("", 0.5), ("gon", 0.5 / 0.9)]
+    )
+    def test_an_angle_has_the_unit_of_its_attribute(
+        self, block: Workpiece, tmp_path: Path, unit: str, value: float
+    ) -> None:
+        attribute = f' angularUnit="{unit}"' if unit else ""
+        limits = f"<MaxValue{attribute}>{value}</MaxValue><MinValue{attribute}>{-value}</MinValue>"
+        nominal = characteristic("AngleBetween", 53, 34, 1100, '<TargetValue angularUnit="degree">90</TargetValue>')
+        text = bored_block_qif(extra=nominal.replace("<Id>1100</Id>", "<Id>1100</Id><Id>1200</Id>") + (
+            "---<AngleBetweenCharacteristicDefinition id=\"34\"><Tolerance>" + limits +
+            "<DefinedAsLimit>false</DefinedAsLimit></Tolerance></AngleBetweenCharacteristicDefinition>"))  # fmt: skip
+        other = "<AngularUnit><SIUnitName>radian</SIUnitName><UnitName>gon</UnitName><UnitConversion><Factor>"
+        other += "0.015707963268</Factor></UnitConversion></AngularUnit>"
+        plan, unsupported = self.read(block, tmp_path, text.replace("</OtherUnits>", f"{other}</OtherUnits>"))
+        assert unsupported == []
+        found = next(each for each in plan.characteristics if each.name == "AngleBetween 53")
+        assert (found.nominal, found.lower, found.upper) == pytest.approx((90, 89.5, 90.5), abs=1e-6)
+
+    def test_a_known_unit_needs_no_conversion(self, block: Workpiece, tmp_path: Path) -> None:
+        text = bored_block_qif()
+        plan, unsupported = self.read(
+            block, tmp_path, text.replace("<UnitConversion><Factor>0.001</Factor></UnitConversion>", "")
+        )
+        assert unsupported == []
+        assert next(each.upper for each in plan.characteristics if each.name == "Diameter 42") == pytest.approx(16.2)
+
     def test_what_is_not_supported_is_named(self, block: Workpiece, tmp_path: Path) -> None:
         extra = characteristic("LineProfile", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
         _, unsupported = self.read(block, tmp_path, bored_block_qif(extra=extra))
