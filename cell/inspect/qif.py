@@ -26,6 +26,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
+_NO_FACE = "is no face of the part"
 _NAME = 60  # characters; longer names are cut
 _SI = {
     "mm": 1e-3, "cm": 1e-2, "m": 1.0, "meter": 1.0, "um": 1e-6, "inch": 0.0254, "in": 0.0254,
@@ -156,6 +157,11 @@ class _Reader:
             except _UnsupportedError as error:
                 found.unsupported.append(f"{name} ({kind}): {error}")
         found.features += [self._checked(table) for table in self._tables.values()]
+        if not found.features and any(_NO_FACE in sentence for sentence in found.unsupported):
+            found.notes.append(
+                "no face of the file is a face of the part: it is the file of another part, or its model has another "
+                "place or unit; export it from the model of the STEP file"
+            )
         used = {unit: kinds for unit, kinds in self._linear_units_used.items() if kinds}
         if len(used) > 1:
             text = "; ".join(f"{unit} for {', '.join(dict.fromkeys(kinds))}" for unit, kinds in used.items())
@@ -301,7 +307,9 @@ class _Reader:
         if definition.find("ToleranceZonePerUnitArea") is not None:
             raise _UnsupportedError("a tolerance per unit area is not supported")
         if (value := definition.find("ToleranceValue")) is not None:
-            found["tolerance_mm"] = self._length_mm(value, kind)
+            if (tolerance := self._length_mm(value, kind)) <= 0:
+                raise _UnsupportedError(f"its tolerance is {tolerance:g} mm, and one above 0 is needed")
+            found["tolerance_mm"] = tolerance
         if (frame := definition.findtext("DatumReferenceFrameId")) is not None:
             found["datums"] = tuple(self._frame(self._element(frame)))
         if definition.findtext("MaterialCondition") in ("MAXIMUM", "LEAST"):
@@ -317,6 +325,10 @@ class _Reader:
         for datum in sorted(datums, key=lambda each: order.get(each.findtext("Precedence/PrecedenceEnum") or "", 3)):
             ids = [each.text or "" for each in datum.iter("DatumDefinitionId")]
             for each in ids:
+                if each not in self._by_id:
+                    raise _UnsupportedError(
+                        f"it refers to the datum with the id {each}, which the file does not define"
+                    )
                 if each not in self._letters:
                     label = self._element(each).findtext("DatumLabel")
                     raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
@@ -364,7 +376,7 @@ class _FaceFinder:
             if candidate.kind == kind and len(corners) and self._contains(index, corners)
         ]
         if not found:
-            raise _UnsupportedError(f"face {face_id} of the file is no face of the part")
+            raise _UnsupportedError(f"face {face_id} of the file {_NO_FACE}")
         return found
 
     def _contains(self, index: int, points: Floats) -> bool:

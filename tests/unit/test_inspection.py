@@ -202,6 +202,7 @@ class TestQif:
         """Read in inches the corners are 25.4 times as far away, and no face of the part is there."""
         plan, unsupported = self.read(block, tmp_path, bored_block_qif("in"))
         assert plan.characteristics == ()
+        assert "the file of another part" in read_qif(tmp_path / "block.qif", block).notes[0]
         assert sum("no face of the part" in each for each in unsupported) >= 3
 
     @pytest.mark.parametrize("text", ["<a/>", "no xml", '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'])
@@ -217,6 +218,8 @@ class TestQif:
             ('"um">300<', '"um">1e999<', "Flatness 41 (Flatness): its value is '1e999'"),
             ("Value>16<", "Value><", "Diameter 42 (Diameter): its value is ''"),
             ("<DatumLabel>A<", "<DatumLabel>a1<", "datum a1: its label has not one or two capital letters"),
+            ('"um">300<', '"um">-300<', "Flatness 41 (Flatness): its tolerance is -0.3 mm, and one above 0 is needed"),
+            ("<DatumDefinitionId>10<", "<DatumDefinitionId>77<", "refers to the datum with the id 77, which the file"),
             ("<XYZ>0 0 30</XYZ>", "<XYZ>0 0</XYZ>", "coordinates '0 0', not three"),
             ("<XYZ>0 0 30</XYZ>", "<XYZ>a b c</XYZ>", "its coordinate is 'a'"),
             ("<UnitName>mm</UnitName>", "<UnitName></UnitName>", "the file states no unit of length"),
