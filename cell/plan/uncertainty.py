@@ -61,6 +61,10 @@ def add_views_for_uncertainty(
     pinned = tuple(dict.fromkeys((*problem.request.plan.pinned, *before.cover.views.tolist())))
     with_pins = problem.request.plan.model_copy(update={"pinned": pinned})
     demand: Ints = np.ones(len(surface.reference.faces), dtype=np.int64)
+    of_feature = np.zeros(len(demand), dtype=np.int64)
+    for number, surfaces in enumerate(association.surfaces.values(), 1):
+        for own in surfaces:
+            of_feature[own.triangles] = number
     last = [np.inf] * len(plan.characteristics)
     for left in reversed(range(ROUNDS + 1)):
         T = problem.candidates.T_object_scanner[selection.cover.views]
@@ -78,7 +82,7 @@ def add_views_for_uncertainty(
         new = np.flatnonzero((raised > 1) & (demand == 1))
         demand = raised
         problem = _with_rows(problem, surface, new, fresh)
-        problem = replace(problem, request=replace(problem.request, demand=demand))
+        problem = replace(problem, request=replace(problem.request, demand=demand, demand_of=of_feature))
         adding = replace(problem, request=replace(problem.request, plan=with_pins))
         selection = select_views(adding, rng, start=selection, search=Search.CONTINUED)
         selection = select_views(adding, rng, start=selection)
