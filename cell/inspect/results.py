@@ -149,7 +149,10 @@ def _measured(measurement: Measurement) -> MeasuredCharacteristic:
     c, value = measurement.characteristic, measurement.value
     uncertainty = measurement.expanded_uncertainty
     return MeasuredCharacteristic(
-        **c.model_dump(include={"id", "name", "feature", "kind", "unit", "nominal", "lower", "upper", "source_id"}),
+        **c.model_dump(include={"id", "name", "feature", "kind", "unit", "source_id"}),
+        nominal=round(c.nominal, 9),
+        lower=None if c.lower is None else round(c.lower, 9),
+        upper=None if c.upper is None else round(c.upper, 9),
         datums=c.datums,
         value=None if value is None else round(value, 6),
         deviation=None if value is None else round(value - c.nominal, 6),

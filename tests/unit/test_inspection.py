@@ -638,6 +638,11 @@ class TestResults:
         lines = as_csv(done.result).splitlines()
         assert len(lines) == 1 + len(done.plan.characteristics)
         assert all(line.endswith(",yes") for line in lines[1:])
+        tables = [{"name": "bore", "faces": (7,), "characteristic": [{"kind": "size", "lower": -0.127, "upper": 0.2}]}]
+        small = plan_of(block, tables).model_copy()
+        size = small.characteristics[0].model_copy(update={"nominal": 11.1252, "lower": 11.1252 - 0.127})
+        small = small.model_copy(update={"characteristics": (size,)})
+        assert ",11.1252,10.9982," in as_csv(inspected(block, points_on(block, 5000, 1e-5), small).result)
         assert "Simulated points" in "\n".join(done.section())
 
     def test_the_page_and_the_files_are_equal_in_every_run(self, block: Workpiece) -> None:
