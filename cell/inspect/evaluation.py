@@ -18,8 +18,8 @@ import numpy as np
 
 from cell.inspect.alignment import common_element, datum_frame, moved
 from cell.inspect.features import Characteristic, InspectionPlan, distance_between
-from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch
-from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal
+from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch, off_surface
+from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal, surround
 from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, Shape, ShapeKind
 from planner.geometry.closest import ClosestPointQuery
 from planner.registration.rigid import transform_points
@@ -59,6 +59,7 @@ class Measurement:
         method: of the evaluation, in words.
         cause: reason for a missing value.
         note: doubt about the value.
+        contributions: share of the points of each feature in the variance, of a predicted U above its limit.
     """
 
     characteristic: Characteristic
@@ -68,6 +69,7 @@ class Measurement:
     method: str
     cause: str = ""
     note: str = ""
+    contributions: Mapping[str, float] = field(default_factory=dict)
 
 
 def verdict_of(value: float, uncertainty: float, lower: float | None, upper: float | None) -> Verdict:
@@ -176,6 +178,18 @@ class Evaluation:
         note = "; ".join(self._weak_features(characteristic, slopes))
         return Measurement(characteristic, value, uncertainty, verdict, model.method, note=note)
 
+    def contributions(self, characteristic: Characteristic) -> dict[str, float]:
+        """Return the share of the points of each feature in the variance of a value, without pose errors."""
+        if self._causes(characteristic):
+            return {}
+        model, shapes = self._model(characteristic), self._shapes(characteristic)
+        slopes, found = self._slopes(model, shapes, model.components(shapes)), dict[str, float]()
+        for (name, _), gain in self._noise(model, slopes).items():
+            own = gain if model.residual is None else model.residual @ gain
+            found[name] = found.get(name, 0.0) + float((own**2).sum())
+        total = sum(found.values())
+        return {name: each / total for name, each in found.items()} if total > 0 else {}
+
     def values(self) -> list[float]:
         """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
         found = []
@@ -199,6 +213,13 @@ class Evaluation:
                 count = int(self._cells((feature.name, 0)).is_dense.sum())
                 if count < (least := _FORM_CELLS.get(characteristic.kind, 0)):
                     own.append(f"points for {count} means, and its form needs {least}")
+                if characteristic.criterion != "least-squares":
+                    points, shape = self._dense_points((feature.name, 0)), self._patch_shape((feature.name, 0))
+                    if not surround(points, shape):
+                        own.append(
+                            f"its points lie on one side of it, and its {characteristic.criterion} diameter needs them "
+                            "all around"
+                        )
             found += [f"{feature.name}: {cause}" for cause in own]
         return found
 
@@ -248,22 +269,32 @@ class Evaluation:
 
         The errors are those of the means of all cells, and of the views' poses, which all patches have in common.
         """
-        noise, poses, start = [], np.zeros((len(g), 6 * len(self.pose_sd))), 0
+        poses, start = np.zeros((len(g), 6 * len(self.pose_sd))), 0
         for key, J in slopes.items():
             cells = self._cells(key)
             poses += J @ cells.shape_lever.reshape(N_COMPONENTS, -1)
+            if key in model.cells:
+                lever = cells.lever[cells.is_dense]
+                poses[start : start + len(lever)] += lever.reshape(len(lever), -1)
+                start += len(lever)
+        noise = self._noise(model, slopes).values()
+        gain = np.hstack([*noise, poses * np.repeat(self.pose_sd, 3, axis=1).ravel()])
+        return gain if model.residual is None else model.residual @ gain
+
+    def _noise(self, model: _Model, slopes: Mapping[tuple[str, int], Floats]) -> dict[tuple[str, int], Floats]:
+        """Return the change (m, K) of the components by errors of unit variance of the points of each patch."""
+        found, start = {}, 0
+        for key, J in slopes.items():
+            cells = self._cells(key)
             if key not in model.cells:
-                noise.append(J @ cells.shape_noise)
+                found[key] = J @ cells.shape_noise
                 continue
             # The errors of the cells and of the shape through them are the same.
             dense, own = np.flatnonzero(cells.is_dense), J @ cells.gain
-            rows = start + np.arange(len(dense))
-            own[rows, dense] += 1.0
-            noise.append(own * cells.noise)
-            poses[rows] += cells.lever[dense].reshape(len(dense), -1)
+            own[start + np.arange(len(dense)), dense] += 1.0
+            found[key] = own * cells.noise
             start += len(dense)
-        gain = np.hstack([*noise, poses * np.repeat(self.pose_sd, 3, axis=1).ravel()])
-        return gain if model.residual is None else model.residual @ gain
+        return found
 
     # Shapes
 
@@ -353,7 +384,7 @@ class Evaluation:
             points, sign = self._dense_points(own), 1.0 if criterion is Criterion.CIRCUMSCRIBED else -1.0
             size = fit_extremal(criterion, points, self._patch_shape(own)).shape.size
             return _Model(
-                lambda s: s[own].size + s[own].distances(points),
+                lambda s: s[own].size + off_surface(s[own], points),
                 lambda g: 2 * sign * (sign * g).max(axis=-1),
                 f"{criterion.value} {kind}",
                 (own,),
@@ -394,11 +425,7 @@ class Evaluation:
         points, shape = self._dense_points(own), self._patch_shape(own)
 
         def residuals(s: Shapes) -> Floats:
-            if s[own].kind is not ShapeKind.CIRCLE:
-                return s[own].distances(points)
-            across = points - s[own].point
-            across = across - (across @ s[own].axis)[:, None] * s[own].axis
-            return np.asarray(np.linalg.norm(across, axis=1) - s[own].size)
+            return off_surface(s[own], points)
 
         local = (points - shape.point) @ shape.frame
         sections, method = np.zeros(len(points), np.int64), "minimum zone of cell means"

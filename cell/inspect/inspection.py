@@ -30,6 +30,7 @@ from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
 _RPS_POINTS = 12  # measured points near a reference point, whose mean is used
+EXACT_POSES = "U contains no pose errors: the plan has none; --pose-sd states them"
 _FIT_POINTS = 20_000  # of the best fit
 
 
@@ -247,8 +248,9 @@ def predict_plan(
         measurements = [_with_setups(plan, each, own) for each in measurements]
     source = f"{count} planned views" + (f" in {len(setups)} set-ups" if len(setups) > 1 else "")
     return inspection_result(
-        plan, measurements, features, part=part, source=source, alignment="", is_simulated=False, is_predicted=True
-    )
+        plan, measurements, features, part=part, source=source, alignment="", is_simulated=False, is_predicted=True,
+        notes=() if any(pose_sd) else (EXACT_POSES,),
+    )  # fmt: skip
 
 
 def _with_setups(

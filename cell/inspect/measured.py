@@ -130,7 +130,7 @@ class MeasuredPatch:
         """(C,) distances of its cells from the fitted element; of a mesh from its mean plane [m]."""
         assert self.cells is not None, "a patch without points has no deviations"
         assert self.shape is not None, "a patch with cells has a shape"
-        return self.shape.distances(self.cells.points)
+        return off_surface(self.shape, self.cells.points)
 
     @property
     def is_measured(self) -> bool:
@@ -149,6 +149,13 @@ class MeasuredFeature:
     def doubts(self) -> tuple[str, ...]:
         """Reasons why it has no value."""
         return tuple(doubt for each in self.patches for doubt in each.doubts)
+
+
+def off_surface(shape: Shape, points: Floats) -> Floats:
+    """Return the signed distance (N,) of points (N, 3) from a shape, of a circle from the cylinder around it [m]."""
+    if shape.kind is ShapeKind.CIRCLE:
+        shape = Shape(ShapeKind.CYLINDER, shape.point, shape.axis, shape.size)
+    return shape.distances(points)
 
 
 class Association:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cell.inspect.evaluation import Evaluation, Measurement, Verdict
-from cell.inspect.features import Feature, InspectionPlan, Patch, PatchSurface
+from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, PatchSurface
 from cell.inspect.measured import (
     MAX_POINTS,
     Association,
@@ -35,6 +35,9 @@ SHARE = 0.5
 
 ARC_DEG = 180.0
 """Smallest arc of a cylinder or cone that has points."""
+
+MAIN = 0.5
+"""Share of the variance of a value from which other features are named as the main source."""
 
 _NODES = 1200  # of a patch, four in a cell
 _DRAWN = 20_000  # samples of a patch, which are combined in its nodes
@@ -168,13 +171,38 @@ def predicted_measurements(
         causes = [*filter(None, [measurement.cause, measurement.note])]
         for feature in plan.features_of(characteristic):
             causes += [f"{feature.name}: {each}" for patch in features[feature.name].patches for each in patch.missed]
-        tolerance, uncertainty = characteristic.tolerance, measurement.expanded_uncertainty
+        tolerance, uncertainty, shares = characteristic.tolerance, measurement.expanded_uncertainty, dict[str, float]()
         if plan.u_over_t is not None and tolerance and uncertainty and uncertainty > plan.u_over_t * tolerance:
             limit = plan.u_over_t * tolerance
-            causes.append(f"U is {uncertainty:.4f} {characteristic.unit}, more than {plan.u_over_t:g} T = {limit:.4f}")
+            shares = evaluation.contributions(characteristic)
+            text = f"U is {uncertainty:.4f} {characteristic.unit}, more than {plan.u_over_t:g} T = {limit:.4f}"
+            causes.append("; ".join(filter(None, [text, main_source(plan, characteristic, shares)])))
         verdict = Verdict.NOT_MEASURED if uncertainty is None else measurement.verdict
-        found.append(replace(measurement, verdict=verdict, cause="; ".join(dict.fromkeys(causes))))
+        cause = "; ".join(dict.fromkeys(causes))
+        found.append(replace(measurement, verdict=verdict, cause=cause, contributions=shares))
     return found
+
+
+def main_source(plan: InspectionPlan, characteristic: Characteristic, contributions: Mapping[str, float]) -> str:
+    """Return a clause about the datums, or another feature, if most of the variance of a value is theirs; else "".
+
+    Args:
+        plan: features.
+        characteristic: of the value.
+        contributions: share of each feature in the variance.
+    """
+    datums = {
+        each.name: letter
+        for letter in "-".join(characteristic.datums).split("-") if letter
+        for each in [plan.datum(letter)] if each.name != characteristic.feature
+    }  # fmt: skip
+    share = sum(contributions.get(name, 0.0) for name in datums)
+    if share > MAIN:
+        name = max(datums, key=lambda each: contributions.get(each, 0.0))
+        frame = "|".join(characteristic.datums)
+        return f"{share:.0%} of its variance is from the datums {frame}, mostly {datums[name]} ({name})"
+    share = contributions.get(characteristic.to or "", 0.0)
+    return f"{share:.0%} of its variance is from {characteristic.to}" if share > MAIN else ""
 
 
 def _missed_demands(shape: Shape | None, points: Floats, seen: Bools, share: float) -> Iterator[str]:

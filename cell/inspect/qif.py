@@ -26,7 +26,12 @@ from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
+_NO_FACE = "is no face of the part"
 _NAME = 60  # characters; longer names are cut
+_SI = {
+    "mm": 1e-3, "cm": 1e-2, "m": 1.0, "meter": 1.0, "um": 1e-6, "inch": 0.0254, "in": 0.0254,
+    "radian": 1.0, "degree": np.pi / 180,
+}  # fmt: skip  # factors of units that a file names without a conversion
 _SURFACES = {
     "Plane23": SurfaceKind.PLANE,
     "Cylinder23": SurfaceKind.CYLINDER,
@@ -127,9 +132,10 @@ class _Reader:
         self._root, self._cad = root, cad
         self._by_id = {each.get("id"): each for each in root.iter() if each.get("id")}
         self._linear, self._primary = self._units("LinearUnit")
-        angles = [root.find(f"FileUnits/PrimaryUnits/{tag}") for tag in ("PMIAngularUnit", "AngularUnit")]
-        self._angular = next((self._factor(each) for each in angles if each is not None), 1.0)
-        self._faces = _FaceFinder(self._by_id, self._primary, part, cad)
+        angles = [self._units(tag) for tag in ("AngularUnit", "PMIAngularUnit")]  # the latter is that of tolerances
+        self._angular = {name: factor for factors, _ in angles for name, factor in factors.items()}
+        self._primary_angle = next((primary for _, primary in reversed(angles) if primary), "radian")
+        self._faces = _FaceFinder(self._by_id, self._linear.get(self._primary, 1e-3), part, cad)
         self._tables: dict[tuple[int, ...], dict[str, object]] = {}
         self._found = QifContent()
         self._letters: dict[str, str] = {}
@@ -151,6 +157,11 @@ class _Reader:
             except _UnsupportedError as error:
                 found.unsupported.append(f"{name} ({kind}): {error}")
         found.features += [self._checked(table) for table in self._tables.values()]
+        if not found.features and any(_NO_FACE in sentence for sentence in found.unsupported):
+            found.notes.append(
+                "no face of the file is a face of the part: it is the file of another part, or its model has another "
+                "place or unit; export it from the model of the STEP file"
+            )
         used = {unit: kinds for unit, kinds in self._linear_units_used.items() if kinds}
         if len(used) > 1:
             text = "; ".join(f"{unit} for {', '.join(dict.fromkeys(kinds))}" for unit, kinds in used.items())
@@ -172,8 +183,11 @@ class _Reader:
 
     def _factor(self, unit: ElementTree.Element) -> float:
         """Return the factor of a unit to the SI unit."""
-        if (value := _number(unit.findtext("UnitConversion/Factor", "1"), "factor of a unit")) <= 0:
-            raise _UnsupportedError(f"its factor of the unit '{unit.findtext('UnitName')}' is {value:g}, not above 0")
+        name = unit.findtext("UnitName") or ""
+        if (text := unit.findtext("UnitConversion/Factor")) is None:
+            return _SI.get(name, 1.0)
+        if (value := _number(text, "factor of a unit")) <= 0:
+            raise _UnsupportedError(f"its factor of the unit '{name}' is {value:g}, not above 0")
         return value
 
     def _name(self, nominal: ElementTree.Element) -> str:
@@ -195,7 +209,11 @@ class _Reader:
         return round(_number(element.text, "value") * self._linear[unit] * 1000, 12)
 
     def _angle_deg(self, element: ElementTree.Element) -> float:
-        return round(float(np.degrees(_number(element.text, "value") * self._angular)), 9)
+        unit = element.get("angularUnit") or self._primary_angle
+        factor = self._angular.get(unit, _SI.get(unit))
+        if factor is None:
+            raise _UnsupportedError(f"the file does not define the unit '{unit}'")
+        return round(float(np.degrees(_number(element.text, "value") * factor)), 9)
 
     def _add_datum(self, letter: str, definition: ElementTree.Element) -> None:
         if not re.fullmatch("[A-Z]{1,2}", letter):
@@ -289,7 +307,9 @@ class _Reader:
         if definition.find("ToleranceZonePerUnitArea") is not None:
             raise _UnsupportedError("a tolerance per unit area is not supported")
         if (value := definition.find("ToleranceValue")) is not None:
-            found["tolerance_mm"] = self._length_mm(value, kind)
+            if (tolerance := self._length_mm(value, kind)) <= 0:
+                raise _UnsupportedError(f"its tolerance is {tolerance:g} mm, and one above 0 is needed")
+            found["tolerance_mm"] = tolerance
         if (frame := definition.findtext("DatumReferenceFrameId")) is not None:
             found["datums"] = tuple(self._frame(self._element(frame)))
         if definition.findtext("MaterialCondition") in ("MAXIMUM", "LEAST"):
@@ -305,6 +325,10 @@ class _Reader:
         for datum in sorted(datums, key=lambda each: order.get(each.findtext("Precedence/PrecedenceEnum") or "", 3)):
             ids = [each.text or "" for each in datum.iter("DatumDefinitionId")]
             for each in ids:
+                if each not in self._by_id:
+                    raise _UnsupportedError(
+                        f"it refers to the datum with the id {each}, which the file does not define"
+                    )
                 if each not in self._letters:
                     label = self._element(each).findtext("DatumLabel")
                     raise _UnsupportedError(f"it refers to the datum {label}, which is not supported")
@@ -315,10 +339,9 @@ class _FaceFinder:
     """CAD faces of the part for faces of the file's own model."""
 
     def __init__(
-        self, by_id: dict[str | None, ElementTree.Element], primary: str, part: Workpiece, cad: CadModel
+        self, by_id: dict[str | None, ElementTree.Element], metres: float, part: Workpiece, cad: CadModel
     ) -> None:
-        self._by_id, self._cad, self._mesh = by_id, cad, part.reference
-        self._metres = {"mm": 1e-3, "inch": 0.0254, "in": 0.0254, "m": 1.0, "cm": 1e-2}.get(primary, 1e-3)
+        self._by_id, self._cad, self._mesh, self._metres = by_id, cad, part.reference, metres
         self._queries: dict[int, ClosestPointQuery] = {}
 
     def numbers(self, ids: Sequence[str]) -> tuple[int, ...]:
@@ -353,7 +376,7 @@ class _FaceFinder:
             if candidate.kind == kind and len(corners) and self._contains(index, corners)
         ]
         if not found:
-            raise _UnsupportedError(f"face {face_id} of the file is no face of the part")
+            raise _UnsupportedError(f"face {face_id} of the file {_NO_FACE}")
         return found
 
     def _contains(self, index: int, points: Floats) -> bool:

@@ -149,7 +149,10 @@ def _measured(measurement: Measurement) -> MeasuredCharacteristic:
     c, value = measurement.characteristic, measurement.value
     uncertainty = measurement.expanded_uncertainty
     return MeasuredCharacteristic(
-        **c.model_dump(include={"id", "name", "feature", "kind", "unit", "nominal", "lower", "upper", "source_id"}),
+        **c.model_dump(include={"id", "name", "feature", "kind", "unit", "source_id"}),
+        nominal=round(c.nominal, 9),
+        lower=None if c.lower is None else round(c.lower, 9),
+        upper=None if c.upper is None else round(c.upper, 9),
         datums=c.datums,
         value=None if value is None else round(value, 6),
         deviation=None if value is None else round(value - c.nominal, 6),
@@ -251,9 +254,9 @@ def markdown(result: InspectionResult) -> list[str]:
     """Return the section of a report."""
     heading, rows = table_rows(result)
     title = "Predicted uncertainty of the characteristics" if result.is_predicted else "Characteristics"
-    simulated = " **Simulated points.**" if result.is_simulated and not result.is_predicted else ""
-    lines = [f"## {title}", "", f"{'' if result.is_predicted else result.summary + '.'}{simulated} "
-             f"Source: {html.escape(result.characteristics_source)}.", ""]  # fmt: skip
+    begin = [] if result.is_predicted else [f"{result.summary}."]
+    begin += ["**Simulated points.**"] if result.is_simulated and not result.is_predicted else []
+    lines = [f"## {title}", "", " ".join([*begin, f"Source: {html.escape(result.characteristics_source)}."]), ""]
     lines += ["| " + " | ".join(heading) + " |", "|" + "---|" * len(heading)]
     lines += ["| " + " | ".join(html.escape(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
     if not result.is_predicted:

@@ -390,9 +390,10 @@ def select_and_connect(
             if fewer or plan.visible.area < unmoved.visible.area:
                 problem, plan = initial[0], unmoved
         if search is not None:
-            is_demanding = problem.request.demand is not None
-            searched = search.sentence(n_moved if is_demanding else len(plan.cover.views))
-            searched += " More views keep the uncertainty of the characteristics." if is_demanding else ""
+            n_views = len(plan.cover.views)
+            has_more = problem.request.demand is not None and n_views > n_moved
+            searched = search.sentence(n_moved if has_more else n_views)
+            searched += " More views serve the uncertainty of the characteristics." if has_more else ""
         plan = replace(plan, searched=searched)
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)

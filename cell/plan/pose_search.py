@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cell.plan.candidates import GROWN, view_evaluator
 from cell.plan.improvement import cover_of_views
-from cell.plan.selection import Request, Selection, SelectionProblem, continue_selection
+from cell.plan.selection import Request, Search, Selection, SelectionProblem, continue_selection, select_views
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
@@ -183,7 +183,13 @@ def search_views(
     # A selection among all candidates may need still fewer views.
     among_all = continue_selection(more, moved, selection_rng)
     is_better = len(among_all.cover.views) < len(moved.cover.views) and among_all.satisfies(problem.request.targets)
-    return more, among_all if is_better else moved.with_bounds_of(among_all), numbers
+    if is_better:
+        return more, among_all, numbers
+    bounded = moved.with_bounds_of(among_all)
+    if (among_all.targets > moved.targets).any():  # its bound holds for a higher target only
+        lower = select_views(more, selection_rng.spawn(1)[0], start=moved, search=Search.CONTINUED)
+        bounded = moved.with_bounds_of(lower)
+    return more, bounded, numbers
 
 
 def _shortfall(

@@ -181,6 +181,7 @@ class Request:
         regions: targets of the regions; None without regions.
         demand: (F,) views that measure `DEMANDED` of the samples on each triangle of the reference, where it is above
             1; None without such triangles.
+        demand_of: (F,) number from 1 of the feature whose samples have this share; None: all triangles are one.
         order: candidates in visiting order, others are inserted where they cost least; None: any order.
         motion: budget of the search for a motion.
         effort: budget of the search for views.
@@ -191,6 +192,7 @@ class Request:
     layer: ProbabilityLayer | None = None
     regions: RegionGroups | None = None
     demand: Ints | None = None
+    demand_of: Ints | None = None
     order: tuple[int, ...] | None = None
     motion: MotionBudget = DEFAULT_BUDGET
     effort: Effort = field(default_factory=default_effort)
@@ -201,6 +203,18 @@ class Request:
         if self.plan.overlap_mm2 is not None:
             return Overlap(area=self.plan.overlap_mm2 * 1e-6)
         return None if self.plan.overlap_share is None else Overlap(share=self.plan.overlap_share)
+
+    @property
+    def demand_groups(self) -> Ints:
+        """(F,) group of each triangle, from 1 for those that demand several views; others have 0."""
+        assert self.demand is not None, "triangles demand several views"
+        more = self.demand > 1
+        found = np.zeros(len(more), dtype=np.int64)
+        if more.any():
+            found[more] = (
+                1 + np.unique((more if self.demand_of is None else self.demand_of)[more], return_inverse=True)[1]
+            )
+        return found
 
     @property
     def _is_single_cover(self) -> bool:
@@ -441,8 +455,8 @@ def _select(
     if request.regions is not None:
         cover_problem = request.regions.apply(cover_problem, M.samples)
     if request.demand is not None:
-        demand = request.demand[M.samples.face]
-        cover_problem = replace(cover_problem, demand=demand, region=(demand > 1).astype(np.int64))
+        face = M.samples.face
+        cover_problem = replace(cover_problem, demand=request.demand[face], region=request.demand_groups[face])
     if plan.max_views is not None:
         budget = cover.scaled_effort(effort.constrained_work, cover_problem.matrix.nnz)
         known = None if start is None else start.cover.views
@@ -495,7 +509,7 @@ def _cover(
     start: Selection | None,
 ) -> Selection:  # fmt: skip
     """Select the fewest or cheapest views for targets, with connected scans if overlap is required."""
-    shares = (*targets.tolist(), *([] if request.demand is None else [DEMANDED]))
+    shares = (*targets.tolist(), *([] if request.demand is None else [DEMANDED] * int(request.demand_groups.max())))
     problem = replace(problem, coverage=shares[0], region_coverage=shares if len(shares) > 1 else ())
     if request.overlap is not None:
         budget = cover.scaled_effort(request.effort.constrained_work, problem.matrix.nnz)

@@ -14,7 +14,7 @@ import numpy as np
 from cell.inspect.evaluation import Measurement
 from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import Association, MeasuredFeature
-from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, main_source, predict_features, predicted_measurements
 from cell.plan.selection import N_FRESH, Search, Selection, SelectionProblem, measure_rows, select_views
 from cell.world.measurability import PartSurface
 from planner.cover import CoverStatus
@@ -35,6 +35,7 @@ MISSED = 1.5
 
 _IMPROVED = 0.9  # of the points that a characteristic needed; with less of a gain no more views are added for it
 _MARGIN = 1.2  # of the needed number of points: samples are measured by whole numbers of views
+_CONSIDERABLE = 0.1  # share of a feature in the variance from which more points on it are worth views
 _ROWS = 600  # rows that a round adds at most
 
 
@@ -60,12 +61,16 @@ def add_views_for_uncertainty(
     pinned = tuple(dict.fromkeys((*problem.request.plan.pinned, *before.cover.views.tolist())))
     with_pins = problem.request.plan.model_copy(update={"pinned": pinned})
     demand: Ints = np.ones(len(surface.reference.faces), dtype=np.int64)
+    of_feature = np.zeros(len(demand), dtype=np.int64)
+    for number, surfaces in enumerate(association.surfaces.values(), 1):
+        for own in surfaces:
+            of_feature[own.triangles] = number
     last = [np.inf] * len(plan.characteristics)
     for left in reversed(range(ROUNDS + 1)):
         T = problem.candidates.T_object_scanner[selection.cover.views]
         features = predict_features(association, [PlannedViews(T, known.scanner, known.casters)])
         predicted = predicted_measurements(plan, association, features, np.zeros((len(T), 2)))
-        times = [_needed_times(plan, each) for each in predicted]
+        times = [_needed_times(plan, each, features) for each in predicted]
         log.info("%d views; needed times of points: %s", len(T), np.round(times, 2).tolist())
         raised = demand.copy()
         for each, factor, earlier in zip(predicted, times, last, strict=True) if left else ():
@@ -77,7 +82,7 @@ def add_views_for_uncertainty(
         new = np.flatnonzero((raised > 1) & (demand == 1))
         demand = raised
         problem = _with_rows(problem, surface, new, fresh)
-        problem = replace(problem, request=replace(problem.request, demand=demand))
+        problem = replace(problem, request=replace(problem.request, demand=demand, demand_of=of_feature))
         adding = replace(problem, request=replace(problem.request, plan=with_pins))
         selection = select_views(adding, rng, start=selection, search=Search.CONTINUED)
         selection = select_views(adding, rng, start=selection)
@@ -95,9 +100,12 @@ def _causes(
     for each, factor in zip(predicted, times, strict=True):
         name = each.characteristic.name
         if factor > MOST_TIMES:
+            source = main_source(plan, each.characteristic, each.contributions)
+            source = f" ({source})" if source else ""
             yield (
                 f"{name}: about {factor:.0f} times as many points are needed, and views are added for at most "
-                f"{MOST_TIMES:g} times; use a scanner with less noise, or allow a larger u_over_t in [inspection]"
+                f"{MOST_TIMES:g} times{source}; use a scanner with denser points or less noise, or "
+                "allow a larger u_over_t in [inspection]"
             )
         elif factor > 1:
             surfaces = association.surfaces[each.characteristic.feature]
@@ -105,10 +113,13 @@ def _causes(
             yield f"{name}: the requirement is not met with {views} views of each sample, or all that can measure it"
 
 
-def _needed_times(plan: InspectionPlan, predicted: Measurement) -> float:
+def _needed_times(
+    plan: InspectionPlan, predicted: Measurement, features: Mapping[str, MeasuredFeature]
+) -> float:  # fmt: skip
     """Return the factor of the number of points that a characteristic needs; 1 if it needs no more."""
     tolerance, uncertainty = predicted.characteristic.tolerance, predicted.expanded_uncertainty
-    if predicted.value is None or any(word in predicted.cause for word in ("less than", "only one end")):
+    own = [patch for each in plan.features_of(predicted.characteristic) for patch in features[each.name].patches]
+    if predicted.value is None or not all(patch.is_measured for patch in own):
         return MISSED
     if plan.u_over_t is None or not tolerance or uncertainty is None:
         return 1.0
@@ -120,12 +131,24 @@ def _raise_demand(
     demand: Ints, plan: InspectionPlan, predicted: Measurement, features: Mapping[str, MeasuredFeature],
     association: Association, times: float,
 ) -> None:  # fmt: skip
-    """Raise the demand (F,) of the triangles of the features of a characteristic."""
-    for feature in plan.features_of(predicted.characteristic):
-        surfaces = association.surfaces[feature.name]
-        for patch, element in zip(features[feature.name].patches, surfaces, strict=True):
-            views = 2 if times == MISSED else int(np.ceil(times * max(patch.mean_views, 1.0)))
-            demand[element.triangles] = np.maximum(demand[element.triangles], views)
+    """Raise the demand (F,) of the triangles of the features that make a characteristic uncertain.
+
+    These are the ones of which too little is measured, else those with a considerable share of the variance.
+    """
+    every = [
+        (feature.name, patch, surface.triangles)
+        for feature in plan.features_of(predicted.characteristic)
+        for patch, surface in zip(features[feature.name].patches, association.surfaces[feature.name], strict=True)
+    ]
+    missed = [each for each in every if not each[1].is_measured]
+    if missed or predicted.value is None:
+        for _, _, triangles in missed or every:
+            demand[triangles] = np.maximum(demand[triangles], 2)
+        return
+    for name, patch, triangles in every:
+        if predicted.contributions.get(name, 0.0) >= _CONSIDERABLE:
+            views = int(np.ceil(times * max(patch.mean_views, 1.0)))
+            demand[triangles] = np.maximum(demand[triangles], views)
 
 
 def _with_rows(

@@ -20,6 +20,7 @@ FULL_STEPS = 40
 
 _CRITICAL = 40  # points at either end with which a program starts
 _TRUST = 0.05  # largest first change, as a share of the points' extent
+_ONE_SIDE = 1e-6  # smallest component of all normals along a vector, beyond which they lie on one side
 _DONE = 1e-9  # relative gain of a step that ends the search
 
 
@@ -84,6 +85,21 @@ def fit_extremal(criterion: Criterion, points: Floats, start: Shape, steps: int 
         point, size = shape.point, shape.size + ends[criterion]
     placed = Shape(start.kind, centre + extent * point, shape.axis, extent * size, shape.half_angle)
     return Extremal(placed, extent * (high - low))
+
+
+def surround(points: Floats, shape: Shape) -> bool:
+    """Return whether points (N, 3) lie around the axis or centre of a shape, not all on one side of it.
+
+    If they do not, a larger inscribed shape always exists, and the circumscribed one is smaller than the shape.
+    """
+    normals = shape.normals(points)
+    if shape.kind is not ShapeKind.SPHERE:
+        normals = normals @ shape.frame[:, :2]
+    n = normals.shape[1]
+    A = np.hstack([-normals, np.ones((len(normals), 1))])  # each normal has at least the last variable along a vector
+    solved = linprog([0.0] * n + [-1.0], A, np.zeros(len(A)), bounds=[(-1, 1)] * n + [(0, 1)], method="highs").x
+    assert solved is not None, "the origin is a solution"
+    return bool(solved[n] < _ONE_SIDE)
 
 
 def _objective(criterion: Criterion, distances: Floats, size: float) -> float:

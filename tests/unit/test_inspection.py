@@ -12,17 +12,18 @@ from pydantic import ValidationError
 from benchmarks.inspection import block_bench, scan_values
 from cell.errors import FileError, SceneError
 from cell.inspect.alignment import common_element, datum_frame, fit_reference_points, moved
-from cell.inspect.evaluation import Verdict, verdict_of
+from cell.inspect.evaluation import Evaluation, Measurement, Verdict, verdict_of
 from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, resolve_features
 from cell.inspect.inspection import Inspected, align, inspect_points
 from cell.inspect.measured import Association, MeasuredPoints, measure_features
-from cell.inspect.prediction import PlannedViews, predict_features, predicted_measurements
+from cell.inspect.prediction import PlannedViews, main_source, predict_features, predicted_measurements
 from cell.inspect.qif import read_qif
 from cell.inspect.qif_results import qif_results
 from cell.inspect.results import as_csv
 from cell.metrology.inspect import located, points_of_setups
 from cell.metrology.options import InspectOptions
 from cell.part.workpiece import Workpiece, from_trusted_mesh, load
+from cell.plan.uncertainty import _raise_demand
 from cell.scanners.laser_area import LaserArea
 from cell.scene.features import FeatureTable
 from cell.world.embree import EmbreeRayCaster
@@ -164,6 +165,33 @@ class TestQif:
         assert by_name["Position 43"].datums == ("A",)
         assert "bonus" in by_name["Position 43"].note
 
+    @pytest.mark.parametrize(
+        ("unit", "value"), [("degree", 0.5), ("radian", 0.008726646), ("", 0.5), ("gon", 0.5 / 0.9)]
+    )
+    def test_an_angle_has_the_unit_of_its_attribute(
+        self, block: Workpiece, tmp_path: Path, unit: str, value: float
+    ) -> None:
+        attribute = f' angularUnit="{unit}"' if unit else ""
+        limits = f"<MaxValue{attribute}>{value}</MaxValue><MinValue{attribute}>{-value}</MinValue>"
+        nominal = characteristic("AngleBetween", 53, 34, 1100, '<TargetValue angularUnit="degree">90</TargetValue>')
+        text = bored_block_qif(extra=nominal.replace("<Id>1100</Id>", "<Id>1100</Id><Id>1200</Id>") + (
+            "---<AngleBetweenCharacteristicDefinition id=\"34\"><Tolerance>" + limits +
+            "<DefinedAsLimit>false</DefinedAsLimit></Tolerance></AngleBetweenCharacteristicDefinition>"))  # fmt: skip
+        other = "<AngularUnit><SIUnitName>radian</SIUnitName><UnitName>gon</UnitName><UnitConversion><Factor>"
+        other += "0.015707963268</Factor></UnitConversion></AngularUnit>"
+        plan, unsupported = self.read(block, tmp_path, text.replace("</OtherUnits>", f"{other}</OtherUnits>"))
+        assert unsupported == []
+        found = next(each for each in plan.characteristics if each.name == "AngleBetween 53")
+        assert (found.nominal, found.lower, found.upper) == pytest.approx((90, 89.5, 90.5), abs=1e-6)
+
+    def test_a_known_unit_needs_no_conversion(self, block: Workpiece, tmp_path: Path) -> None:
+        text = bored_block_qif()
+        plan, unsupported = self.read(
+            block, tmp_path, text.replace("<UnitConversion><Factor>0.001</Factor></UnitConversion>", "")
+        )
+        assert unsupported == []
+        assert next(each.upper for each in plan.characteristics if each.name == "Diameter 42") == pytest.approx(16.2)
+
     def test_what_is_not_supported_is_named(self, block: Workpiece, tmp_path: Path) -> None:
         extra = characteristic("LineProfile", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
         _, unsupported = self.read(block, tmp_path, bored_block_qif(extra=extra))
@@ -174,6 +202,7 @@ class TestQif:
         """Read in inches the corners are 25.4 times as far away, and no face of the part is there."""
         plan, unsupported = self.read(block, tmp_path, bored_block_qif("in"))
         assert plan.characteristics == ()
+        assert "the file of another part" in read_qif(tmp_path / "block.qif", block).notes[0]
         assert sum("no face of the part" in each for each in unsupported) >= 3
 
     @pytest.mark.parametrize("text", ["<a/>", "no xml", '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'])
@@ -189,6 +218,8 @@ class TestQif:
             ('"um">300<', '"um">1e999<', "Flatness 41 (Flatness): its value is '1e999'"),
             ("Value>16<", "Value><", "Diameter 42 (Diameter): its value is ''"),
             ("<DatumLabel>A<", "<DatumLabel>a1<", "datum a1: its label has not one or two capital letters"),
+            ('"um">300<', '"um">-300<', "Flatness 41 (Flatness): its tolerance is -0.3 mm, and one above 0 is needed"),
+            ("<DatumDefinitionId>10<", "<DatumDefinitionId>77<", "refers to the datum with the id 77, which the file"),
             ("<XYZ>0 0 30</XYZ>", "<XYZ>0 0</XYZ>", "coordinates '0 0', not three"),
             ("<XYZ>0 0 30</XYZ>", "<XYZ>a b c</XYZ>", "its coordinate is 'a'"),
             ("<UnitName>mm</UnitName>", "<UnitName></UnitName>", "the file states no unit of length"),
@@ -440,6 +471,33 @@ class TestDegenerateFeatures:
         assert found.expanded_uncertainty is not None
         assert abs(found.value - 16) < 1.5 * found.expanded_uncertainty
 
+    @pytest.mark.parametrize("criterion", ["inscribed", "circumscribed"])
+    @pytest.mark.parametrize(("kind", "half_deg", "has_value"), [
+        ("cylinder", 80, False), ("cylinder", 120, True), ("circle", 80, False), ("circle", 120, True)])  # fmt: skip
+    def test_an_extremal_diameter_needs_points_all_around(
+        self, block: Workpiece, criterion: str, kind: str, half_deg: float, has_value: bool
+    ) -> None:
+        """The largest circle inside an arc below a half turn has no limit, and the smallest one around it is smaller.
+
+        Of a circle, points anywhere along the bore have the deviation of their radius.
+        """
+        size = {"kind": "size", "criterion": criterion, **LIMITS}
+        plan = plan_of(block, [{"name": "bore", "faces": (7,), "kind": kind, "characteristic": [size]}])
+        points = points_on(block, 60_000, 1e-5)
+        off = points[:, :2] - [0.03, 0.02]
+        on_bore = np.linalg.norm(off, axis=1) < 0.0081
+        arc = np.abs(np.degrees(np.arctan2(off[:, 1], off[:, 0]))) < half_deg
+        done = inspected(block, points[on_bore & arc], plan, sigma=1e-5)
+        found = done.result.characteristics[0]
+        assert ("needs them all around" in found.cause) != has_value
+        assert np.abs(done.features["bore"].patches[0].deviations).max() < 3e-5
+        if has_value:
+            assert found.expanded_uncertainty is not None
+            assert 0.005 < found.expanded_uncertainty < 0.03  # about three standard deviations of a cell on each side
+            assert found.value == pytest.approx(16, abs=1.5 * found.expanded_uncertainty)
+        else:
+            assert found.value is None
+
     def test_a_datum_plane_of_nearly_collinear_points(self, block: Workpiece) -> None:
         """Only what depends on the tilt of the datum about the line of its points is in doubt."""
         points = points_on(block, 60_000, 1e-5)
@@ -580,6 +638,11 @@ class TestResults:
         lines = as_csv(done.result).splitlines()
         assert len(lines) == 1 + len(done.plan.characteristics)
         assert all(line.endswith(",yes") for line in lines[1:])
+        tables = [{"name": "bore", "faces": (7,), "characteristic": [{"kind": "size", "lower": -0.127, "upper": 0.2}]}]
+        small = plan_of(block, tables).model_copy()
+        size = small.characteristics[0].model_copy(update={"nominal": 11.1252, "lower": 11.1252 - 0.127})
+        small = small.model_copy(update={"characteristics": (size,)})
+        assert ",11.1252,10.9982," in as_csv(inspected(block, points_on(block, 5000, 1e-5), small).result)
         assert "Simulated points" in "\n".join(done.section())
 
     def test_the_page_and_the_files_are_equal_in_every_run(self, block: Workpiece) -> None:
@@ -680,6 +743,58 @@ class TestPrediction:
             assert each.expanded_uncertainty is not None
             assert stated[0, k] == pytest.approx(each.expanded_uncertainty, rel=0.25), each.characteristic.name
             assert np.quantile(error, 0.95) == pytest.approx(each.expanded_uncertainty, rel=0.35)
+
+    @pytest.mark.parametrize(("name", "words"), [
+        ("right: distance", "is from left"), ("bore: position", "mostly A (top)"),
+        ("right: profile", "mostly C (left)"),
+    ])  # fmt: skip
+    def test_contributions_are_the_variances_without_the_other_features(
+        self, block: Workpiece, name: str, words: str
+    ) -> None:
+        """The noise of one feature at a time gives its share; that of the datums A, B, C is ten times as large."""
+        plan, points = plan_of(block), points_on(block, 20_000)
+        association = Association(block.reference, plan)
+        c = next(each for each in plan.characteristics if each.name == name)
+        features = plan.features_of(c)
+
+        def evaluated(names: list[str]) -> Evaluation:
+            measured, sigma = single_view(points), np.zeros(len(points))
+            rows = association.rows(points)
+            for each in names:
+                sigma[np.concatenate(rows[each])] = 1e-4 if plan.feature(each).datum else 1e-5
+            found = measure_features(association, replace(measured, sigma=sigma))
+            return Evaluation(plan, found, association.nearest, np.zeros((1, 2)))
+
+        every = [each.name for each in features]
+        shares = evaluated(every).contributions(c)
+        variances = {each: (evaluated([each]).measure(c).expanded_uncertainty or 0.0) ** 2 for each in every}
+        largest = max(variances, key=variances.__getitem__)
+        assert max(shares, key=shares.__getitem__) == largest
+        if name == "right: distance":  # others are quantiles of a largest deviation
+            assert shares == pytest.approx({each: one / sum(variances.values()) for each, one in variances.items()})
+        assert main_source(plan, c, shares).endswith(words)
+
+    def test_views_are_demanded_for_what_makes_a_value_uncertain(self, block: Workpiece) -> None:
+        """A datum of which too little is measured, then the datum that has most of the variance."""
+        plan, views = plan_of(block), self.views()
+        association = Association(block.reference, plan)
+        caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
+        scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.5, 0.5))
+
+        def raised(views: Floats, name: str, shares: dict[str, float]) -> set[str]:
+            features = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
+            c = next(each for each in plan.characteristics if each.name == name)
+            predicted = Measurement(c, 1.0, 1.0, Verdict.UNDECIDED, "", contributions=shares)
+            demand = np.ones(len(block.reference.faces), dtype=np.int64)
+            _raise_demand(demand, plan, predicted, features, association, 1.8)
+            return {
+                each.name for each in plan.features
+                if all((demand[own.triangles] > 1).all() for own in association.surfaces[each.name])
+            }  # fmt: skip
+
+        shares = {"right": 0.05, "top": 0.85, "front": 0.05, "left": 0.05}
+        assert raised(views, "right: profile", shares) == {"top"}
+        assert raised(views[[0, 1, 3, 4, 5]], "right: profile", shares) == {"left"}
 
     def test_a_feature_that_no_view_measures_is_named(self, block: Workpiece) -> None:
         _, cause = self.predict(block, self.views()[:5])["bottom: parallelism"]

@@ -104,6 +104,25 @@ def test_triangles_that_demand_several_views_are_measured_by_them() -> None:
         assert not request.allows_swaps
 
 
+@pytest.mark.parametrize("is_split", [False, True])
+def test_each_feature_has_its_own_share_of_demanded_views(is_split: bool) -> None:
+    """Two triangles demand two views of 0.6 of their samples: a large one that has them, and a small one."""
+    problem = _problem(np.ones(6), PlanSettings(coverage=0.4), HeldOut([0.5] * 6))
+    dense = np.eye(6, dtype=bool)
+    dense[:5] = True
+    dense[5, :3] = True
+    matrix = csr_array(dense)
+    samples = replace(problem.M.samples, face=np.array([0] * 5 + [1], dtype=np.int32), areas=np.array([9.0] * 5 + [1]))
+    M = Measurability(matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32), samples, 6)
+    demand_of = np.array([1, 2]) if is_split else None
+    request = replace(problem.request, demand=np.array([2, 2]), demand_of=demand_of)
+    pinned = request.plan.model_copy(update={"pinned": (4, 5)})
+    found = select_views(
+        replace(problem, M=M, request=replace(request, plan=pinned)), np.random.default_rng(0), search=Search.CONTINUED
+    )
+    assert len(found.cover.views) == (3 if is_split else 2)
+
+
 def _half_covered(share: float) -> Cover:
     return solve(
         CoverProblem(csr_array(np.eye(100, dtype=bool)), np.ones(100), coverage=share), rng=np.random.default_rng(0)
