@@ -49,6 +49,22 @@ class Roadmap(NamedTuple):
     inspects: Array
 
 
+class Bound(NamedTuple):
+    """A lower bound on the length of closed walks.
+
+    Attributes:
+        value: the bound.
+        is_solved: whether the linear programme was solved to its end.
+        sets: (k, N) its vertex sets.
+        reduced: (E,) reduced costs, not negative: a walk with the edge is at least `value + reduced` long.
+    """
+
+    value: float
+    is_solved: bool
+    sets: Array
+    reduced: Array
+
+
 def read(folder: Path, name: str) -> Roadmap:
     """Read NAME_vertex (number, two fields, points) and NAME_edge (two numbers, ..., length)."""
     vertex_lines, edge_lines = (
@@ -112,23 +128,24 @@ def judge(roadmap: Roadmap, path: Array) -> float:
     return float(sum(length_of[step] for step in steps))
 
 
-def lower_bound(roadmap: Roadmap, rows: Array, seconds: float) -> tuple[float, bool]:
-    """Return a lower bound on the length of closed walks, and whether the linear programme was solved to its end.
+def lower_bound(roadmap: Roadmap, rows: Array, seconds: float) -> Bound:
+    """Return the bound of the vertex sets; after some processor seconds the best one so far.
 
     Args:
         roadmap: the graph.
         rows: (P', N) of `needed`.
-        seconds: processor time after which the best bound so far is returned.
+        seconds: processor time after which no round begins.
     """
-    end, best, is_solved = process_time() + seconds, 0.0, False
+    end, is_solved = process_time() + seconds, False
     programme = _Programme(roadmap, rows)
+    best = 0.0, roadmap.weights
     while not is_solved and process_time() < end:
         x, y = programme.solve()
-        best = max(best, programme.certified(y))
-        new = _violated_sets(roadmap, rows, x, programme.columns, programme.n_sets)
+        best = max(best, programme.certified(y), key=lambda each: each[0])
+        new = _violated_sets(roadmap, rows, x, programme.columns, len(programme.sets))
         programme.add_sets(new)
         is_solved = not programme.price(y) and not len(new)
-    return best, is_solved
+    return Bound(best[0], is_solved, programme.sets, best[1])
 
 
 class _Programme:
@@ -140,7 +157,7 @@ class _Programme:
         self._u, self._v = roadmap.edges.T
         self._unit = float(roadmap.weights.mean())
         self._weights = roadmap.weights / self._unit
-        self._sets = np.zeros((0, rows.shape[1]), dtype=bool)
+        self.sets = np.zeros((0, rows.shape[1]), dtype=bool)
         self._place = np.full(len(self._weights), -1)  # of each edge among the columns
         self.columns = np.zeros(0, dtype=int)
         self._highs: Any = highspy.Highs()  # type: ignore[no-untyped-call]
@@ -158,14 +175,9 @@ class _Programme:
         self._add_edges(np.union1d(edges[order[rank < NEAREST]], np.flatnonzero(in_tree)))
         self.add_sets(rows)
 
-    @property
-    def n_sets(self) -> int:
-        """Number of vertex sets."""
-        return len(self._sets)
-
     def add_sets(self, sets: Array) -> None:
         """Add constraints for (k, N) vertex sets."""
-        self._sets = np.concatenate([self._sets, sets])
+        self.sets = np.concatenate([self.sets, sets])
         crossing = sets[:, self._u[self.columns]] != sets[:, self._v[self.columns]]
         start = np.concatenate([[0], np.cumsum(crossing.sum(axis=1))])
         index = np.nonzero(crossing)[1]
@@ -175,7 +187,7 @@ class _Programme:
         )  # fmt: skip
 
     def _add_edges(self, edges: Array) -> None:
-        crossing = self._sets[:, self._u[edges]] != self._sets[:, self._v[edges]]
+        crossing = self.sets[:, self._u[edges]] != self.sets[:, self._v[edges]]
         start = np.concatenate([[0], np.cumsum(crossing.sum(axis=0))])
         index = np.nonzero(crossing.T)[1]
         zero, none = np.zeros(len(edges)), np.full(len(edges), np.inf)
@@ -198,7 +210,7 @@ class _Programme:
         used = np.flatnonzero(y)
         found = np.zeros(len(self._weights))
         for k in used:
-            found[self._sets[k, self._u] != self._sets[k, self._v]] += y[k]
+            found[self.sets[k, self._u] != self.sets[k, self._v]] += y[k]
         return found
 
     def price(self, y: Array) -> bool:
@@ -207,17 +219,18 @@ class _Programme:
         self._add_edges(missing)
         return len(missing) > 0
 
-    def certified(self, y: Array) -> float:
-        """Return the value of the duals after a repair that no edge exceeds its weight."""
+    def certified(self, y: Array) -> tuple[float, Array]:
+        """Return value and (E,) reduced costs of the duals after a repair: no edge exceeds its weight."""
         y = y.copy()
         for edge in np.flatnonzero(self._load(y) > self._weights):
-            across = np.flatnonzero((self._sets[:, self._u[edge]] != self._sets[:, self._v[edge]]) & (y > 0))
+            across = np.flatnonzero((self.sets[:, self._u[edge]] != self.sets[:, self._v[edge]]) & (y > 0))
             excess = y[across].sum() - self._weights[edge]
             for k in across:
                 taken = min(max(excess, 0.0), y[k])
                 y[k] -= taken
                 excess -= taken
-        return float(2 * y.sum() * self._unit) * (1 - 1e-9)
+        reduced = np.maximum(self._weights - self._load(y), 0.0)
+        return float(2 * y.sum() * self._unit) * (1 - 1e-9), reduced * self._unit * (1 - 1e-9)
 
 
 def _violated_sets(roadmap: Roadmap, rows: Array, x: Array, columns: Array, seed: int) -> Array:
@@ -279,8 +292,11 @@ def main() -> None:
         roadmap = read(options.folder, name)
         rows, since = needed(roadmap.inspects), process_time()
         length, tour_s = judge(roadmap, walk(roadmap, rows, options.steps)), process_time() - since
-        bound, is_solved = lower_bound(roadmap, rows, options.seconds)
-        bound_s = f"{process_time() - since - tour_s:.0f}{'' if is_solved else ', not finished'}"
+        found = lower_bound(roadmap, rows, options.seconds)
+        bound, bound_s = (
+            found.value,
+            f"{process_time() - since - tour_s:.0f}{'' if found.is_solved else ', not finished'}",
+        )
         n_points, n = roadmap.inspects.shape
         numbers = f"{length:.5g} | {bound:.5g} | {100 * (length / bound - 1):.1f} % | {tour_s:.0f} | {bound_s}"
         sys.stdout.write(f"| {name} | {n} | {n_points} | {len(rows)} | {numbers} |\n")
