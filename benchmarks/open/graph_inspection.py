@@ -8,7 +8,8 @@ part of this project.
 
 **Tour.** Only points whose vertices contain those of no other point matter. Each of them becomes a cluster with a copy
 of each of its vertices, and distances are those of shortest paths: the generalised travelling salesman problem of the
-planner. Copies of a vertex are at distance 0, so both problems have the same optimum.
+planner. Copies of a vertex are at distance 0, so both problems have the same optimum. The search begins with a tour of
+the fewest vertices that inspect all points.
 
 **Bound.** A closed walk from the root that inspects a point crosses at least twice the border of every vertex set that
 contains all vertices of the point and not the root:
@@ -31,6 +32,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, maximum_flow
 
 from benchmarks.open.check import Array
+from planner.cover import CoverProblem, solve
 from planner.tour import generalised_tsp
 
 ROOT = 0
@@ -95,12 +97,15 @@ def walk(roadmap: Roadmap, rows: Array, steps: int, seed: int = 0) -> Array:
     n = roadmap.inspects.shape[1]
     graph = coo_array((roadmap.weights, roadmap.edges.T), shape=(n, n)).tocsr()
     distance, before = dijkstra(graph, directed=False, return_predecessors=True)
+    distance, rng = (distance + distance.T) / 2, np.random.default_rng(seed)
+    cover = np.concatenate([[ROOT], solve(CoverProblem(rows, np.ones(len(rows))), rng=rng).views]).astype(int)
+    problem = generalised_tsp.make_instance(distance[np.ix_(cover, cover)], np.arange(len(cover) + 1))
+    visits = cover[generalised_tsp.solve(problem, np.arange(1, len(cover)), rng, steps, None).tour]
+    order = 1 + np.argsort(rows[:, visits].argmax(axis=1), kind="stable")
     nodes = np.concatenate([[ROOT], *(np.flatnonzero(row) for row in rows)]).astype(int)
     first = np.concatenate([[0, 1], 1 + np.cumsum(rows.sum(axis=1))])
-    cost = distance[np.ix_(nodes, nodes)]
-    problem = generalised_tsp.make_instance((cost + cost.T) / 2, first)
-    order = np.arange(1, len(rows) + 1)
-    found = generalised_tsp.solve(problem, order, np.random.default_rng(seed), steps, None)
+    problem = generalised_tsp.make_instance(distance[np.ix_(nodes, nodes)], first)
+    found = generalised_tsp.solve(problem, order, rng, steps, None, warm=True)
     stops, path = [*nodes[found.tour], ROOT], [ROOT]
     for a, b in pairwise(stops):
         back = [b]
@@ -280,7 +285,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("name", nargs="*")
-    parser.add_argument("--steps", type=int, default=2000, help="of the tour, up to 22 clusters; more for larger ones")
+    parser.add_argument("--steps", type=int, default=5000, help="of the tour, up to 22 clusters; more for larger ones")
     parser.add_argument("--seconds", type=float, default=120, help="processor time of the bound")
     options = parser.parse_args()
     suffix = "_vertex"
