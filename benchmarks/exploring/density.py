@@ -45,7 +45,7 @@ class _Explorer:
         self._tried = np.empty((0, 3))
 
     def __call__(self, known: Knowledge) -> Floats | None:
-        points, towards = _thinned(known, self._radius / _CELLS)
+        points, towards = thinned(known, self._radius / _CELLS)
         tree = cKDTree(points)
         frontier = self._frontier(points, tree)
         often = np.zeros(len(frontier), dtype=np.int64)
@@ -113,7 +113,7 @@ class _Explorer:
         return np.stack(seen, axis=1)
 
 
-def _thinned(known: Knowledge, spacing: float) -> tuple[Floats, Floats]:
+def thinned(known: Knowledge, spacing: float) -> tuple[Floats, Floats]:
     """Return (P, 3) a point of each cell of a grid, and the unit direction to the source that measured it."""
     points = np.concatenate(known.points)
     origin = np.concatenate(

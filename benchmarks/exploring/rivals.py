@@ -73,20 +73,27 @@ def volumetric(space: str) -> Policy:
 
     def start(lab: Lab, rng: Generator) -> NextView:
         poses = VIEW_SPACES[space](lab, _CANDIDATES)
-        rows, columns = lab.scanner.grid_shape
-        rays = lab.frustum.rays.reshape(rows, columns, 3)[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
 
         def next_view(known: Knowledge) -> Floats | None:
-            usable = poses[lab.free(known.space)(poses)]
-            space = known.space
-            state = np.where((space.state == UNKNOWN) & (space.votes > 0), FREE, space.state).astype(np.uint8)
-            free_space = replace(known, space=replace(space, state=state))
-            gains = [_unknown_along(lab, free_space, T, rays) for T in usable]
-            return usable[int(np.argmax(gains))] if max(gains, default=0) > 0 else None
+            return most_unknown(lab, known, poses)
 
         return next_view
 
     return start
+
+
+def most_unknown(lab: Lab, known: Knowledge, poses: Floats) -> Floats | None:
+    """Return the free one of (n, 4, 4) poses whose rays cross the most unknown voxels; None if none crosses any.
+
+    Voxels along rays without a hit are free.
+    """
+    rows, columns = lab.scanner.grid_shape
+    rays = lab.frustum.rays.reshape(rows, columns, 3)[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
+    usable, space = poses[lab.free(known.space)(poses)], known.space
+    state = np.where((space.state == UNKNOWN) & (space.votes > 0), FREE, space.state).astype(np.uint8)
+    free_space = replace(known, space=replace(space, state=state))
+    gains = [_unknown_along(lab, free_space, T, rays) for T in usable]
+    return usable[int(np.argmax(gains))] if max(gains, default=0) > 0 else None
 
 
 def _unknown_along(lab: Lab, known: Knowledge, T: Floats, rays: Floats) -> int:

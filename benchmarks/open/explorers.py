@@ -1,6 +1,6 @@
 """Entries of tier D: `python -m benchmarks.open.explorers METHOD [INSTANCE ...]`, unknown parts.
 
-The policies are those of `benchmarks/exploring`: the stepwise policy of `cell explore` and two rivals. A policy knows
+The policies are those of `benchmarks/exploring`: the stepwise policy of `cell explore` and three rivals. A policy knows
 a cylinder about the part, its bounding box, and the points of its own scans.
 """
 
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.exploring import ours, rivals
+from benchmarks.exploring.boundary import boundary
 from benchmarks.exploring.lab import Knowledge, Lab, Policy
 from benchmarks.exploring.policies import TUNED
 from benchmarks.open import check
@@ -41,6 +42,10 @@ POLICIES: dict[str, tuple[Policy, str]] = {
         "Views of a sphere, each the farthest from all before (Gonzalez 1985).",
     ),
     "volumetric": (rivals.volumetric(TUNED["volumetric"]), "Most unknown voxels along rays (Connolly 1985)."),
+    "boundary": (
+        boundary,
+        "Views at the boundary of the measured points (BENBV: Li, Wan, Zhang 2024); unknown voxels as the score.",
+    ),
 }
 """Policies of `benchmarks/exploring`, and descriptions."""
 

@@ -10,7 +10,7 @@ from benchmarks.open.tools import HERE
 
 ORDER = (
     "greedy", "row-weighting", "meta-raps", "example-greedy", "scan-cell-low", "scan-cell-normal", "scan-cell-high",
-    "nearest-neighbour", "uniform", "volumetric",
+    "nearest-neighbour", "uniform", "volumetric", "boundary",
 )  # fmt: skip
 
 Row = dict[str, Any]

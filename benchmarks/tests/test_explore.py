@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from benchmarks.exploring import density, rivals
+from benchmarks.exploring import boundary, density, rivals
 from benchmarks.exploring.lab import Knowledge, Lab, explored
 from benchmarks.exploring.ours import stepwise
 from benchmarks.exploring.policies import RIVALS, TUNED
@@ -86,6 +86,35 @@ def test_the_frontier_of_a_patch_is_its_border(ball: Lab) -> None:
     assert inside.max() < explorer._radius
     border = points[np.minimum(points, side[-1] - points)[:, :2].min(axis=1) == 0]
     assert cKDTree(frontier).query(border)[0].max() < explorer._radius
+
+
+def test_boundary_points_have_a_sector_without_neighbours() -> None:
+    """A direct search over directions finds the same boundary points: 120 degrees about the normal are empty."""
+    rng = np.random.default_rng(4)
+    points = np.column_stack([rng.random((600, 2)), np.zeros(600)])
+    points = points[np.linalg.norm(points[:, :2] - 0.5, axis=1) > 0.2]  # a hole
+    near = cKDTree(points).query(points, 13)[1][:, 1:]
+    turned = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    normals = np.tile(turned[:, 2], (len(points), 1))
+    found = boundary.is_boundary(points @ turned.T, normals, near)
+    for at, others, is_found in zip(points, near, found, strict=True):
+        turns = np.degrees(np.arctan2(*(points[others] - at)[:, 1::-1].T))
+        clear = [np.abs((turns - middle + 180) % 360 - 180).min() for middle in np.arange(0, 360, 0.25)]
+        if abs(max(clear) - 60) > 0.2:
+            assert is_found == (max(clear) > 60)
+    assert 0.05 < found.mean() < 0.5
+
+
+def test_boundary_views_look_at_the_rim_of_the_measured_cap(ball: Lab) -> None:
+    """After one view of a ball the next one looks at the rim of the measured cap, from the working distance."""
+    rng = np.random.default_rng(2)
+    known = ball.observe(Knowledge(ball.unknown), ball.first_view(rng))
+    T = boundary.boundary(ball, rng)(known)
+    assert T is not None
+    target = T[:3, 3] + ball.middle_range * T[:3, 2]
+    assert abs(np.linalg.norm(target) - 0.06) < 2e-3
+    towards = known.poses[0][:3, 3] / np.linalg.norm(known.poses[0][:3, 3])
+    assert (known.points[0] @ towards < float(target @ towards)).mean() < 0.1
 
 
 @pytest.mark.parametrize("name", ["stepwise", *RIVALS])

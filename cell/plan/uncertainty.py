@@ -90,12 +90,13 @@ def add_views_for_uncertainty(
     status = CoverStatus.PROVEN if bound == len(selection.cover.views) else CoverStatus.BOUNDED
     cover = replace(selection.cover, lower_bound=bound, status=status)
     selection = replace(selection, cover=cover, sentence=cover.sentence, cost_bound=before.cost_bound)
-    return problem, selection, tuple(_causes(predicted, times, association, demand))
+    return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
 
 
 def _causes(
-    predicted: Sequence[Measurement], times: Sequence[float], association: Association, demand: Ints
-) -> Iterator[str]:
+    plan: InspectionPlan, predicted: Sequence[Measurement], times: Sequence[float], association: Association,
+    demand: Ints,
+) -> Iterator[str]:  # fmt: skip
     """Yield a sentence for each characteristic whose requirement is not met."""
     for each, factor in zip(predicted, times, strict=True):
         name = each.characteristic.name

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.open import bounds, check, tools
+from benchmarks.open import bounds, check, tools, tours
 from planner.measurability.visibility import find_measured
+from planner.tour import generalised_tsp
 
 FOLDER = check.HERE
 INSTANCES = sorted(path.stem for path in (FOLDER / "instances").glob("*.json"))
@@ -264,6 +265,24 @@ def test_tours_must_visit_every_group_once():
             slowest = max(slowest, peak / rate * 2 + (distance - peak**2 / rate) / peak if peak > 0 else 0.0)
         total += slowest
     assert check.judge({"tour": nodes.tolist()}, instance)["value"] == pytest.approx(total, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tours_are_proven_as_by_dynamic_programming(seed):
+    """Bound and tour of the vertex sets are the optimum of a dynamic programme over subsets, from any known tour."""
+    rng = np.random.default_rng(seed)
+    group = np.sort(np.concatenate([np.arange(7), rng.integers(0, 7, 9)]))
+    at = rng.random((1 + len(group), 2)) * 10
+    cost = np.abs(at[:, None] - at).max(axis=2)
+    first = np.concatenate([[0, 1], 1 + np.cumsum(np.bincount(group))])
+    optimum = generalised_tsp.solve_exactly(generalised_tsp.make_instance(cost, first)).cost
+    for known in (optimum, 1.3 * optimum):
+        bound, _, tour = tours.prove(cost, group, known)
+        assert bound == pytest.approx(optimum, rel=1e-6)
+        assert bound <= optimum
+        assert sorted(group[tour]) == list(range(7))
+        nodes = np.concatenate([[0], 1 + tour])
+        assert cost[nodes, np.roll(nodes, -1)].sum() == pytest.approx(optimum, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["A-housing-area", "A-bracket-line", "A-knot-camera"])
