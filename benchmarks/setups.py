@@ -96,7 +96,7 @@ def _after_another(problem: CoverProblem, joint: GroupedCover) -> tuple[int, int
     """
     rows, group, areas = GroupLoads(problem, joint.targets), np.asarray(problem.group), np.asarray(problem.areas)
     left, setups, views = rows.demand > 0, 0, 0
-    missing = float(areas[left].sum() - rows.wanted[0])  # area that may remain uncovered
+    missing = float(areas[left].sum() - rows.target_weight[0])  # area that may remain uncovered
     while float(areas[left].sum()) > missing * (1 + 1e-9) and left.any():
         adds = (rows.loads > 0) @ (areas * left)
         best = int(np.argmax(adds))
@@ -120,7 +120,7 @@ def _views_first(problem: CoverProblem, joint: GroupedCover, poses: Floats) -> t
     views = some[cover.solve(alone, rng=np.random.default_rng(0)).views]
     again = np.asarray(problem.allowed) & np.isin(pose, pose[views])
     rows = GroupLoads(replace(problem, allowed=again), joint.targets)
-    rows.wanted = joint.loads.wanted
+    rows.target_weight = joint.loads.target_weight
     return fewest_groups(rows, (), None)[0], len(views)
 
 

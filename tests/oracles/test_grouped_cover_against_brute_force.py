@@ -170,7 +170,7 @@ def test_more_choices_than_can_be_enumerated(
     monkeypatch.setattr(grouped, "MAX_ENUMERATED", 0)
     problem = draw(200 + seed, 5, 2)
     cover, selections = solved(problem, [0.9], 0, max_groups=max_groups)
-    enough = selections.weight >= float(cover.loads.wanted[0]) - 1e-9
+    enough = selections.weight >= float(cover.loads.target_weight[0]) - 1e-9
     assert cover.group_bound <= selections.n_groups[enough].min() <= len(cover.views) <= (max_groups or 5)
     assert cover.view_bound <= selections.size[enough].min()
 
