@@ -8,7 +8,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import cell
 from cell.errors import CellError
+
+CODE = Path(cell.__file__).parents[1]
+"""Checkout of this version."""
 
 _GOOD = (0, 3)  # exit codes that leave a plan; 3: below the coverage that the scene requires
 
@@ -22,21 +26,19 @@ def run_cell(
         folder: receives the output of the command.
         arguments: arguments of the command line; `--json` is added.
         cache: cache folder in place of the user's.
-        code: checkout of the version to run; None: this one.
+        code: checkout of the version to run; None: that of this process.
 
     Raises:
         CellError: if the command fails; it has the sentence of the command.
     """
-    environment = dict(os.environ)
+    environment = {**os.environ, "PYTHONPATH": str(code or CODE)}
     if cache is not None:
         environment["XDG_CACHE_HOME"] = str(cache)
-    if code is not None:
-        environment["PYTHONPATH"] = str(code)
     out, err = folder / "stdout", folder / "stderr"
     with out.open("wb") as stdout, err.open("wb") as stderr:
         start = perf_counter()
         process = subprocess.Popen(
-            [sys.executable, "-m", "cell", *arguments, "--json"], env=environment, stdout=stdout, stderr=stderr
+            [sys.executable, "-P", "-m", "cell", *arguments, "--json"], env=environment, stdout=stdout, stderr=stderr
         )
         # Usage of this child only: the sum over all children has the largest peak of all of them.
         _, status, usage = os.wait4(process.pid, 0)

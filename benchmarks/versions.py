@@ -2,24 +2,21 @@
 
 SCAN_CELL_OTHER is a checkout of the other version; without it, only this version runs. SCAN_CELL_JOBS names jobs
 (default "plan,scan,table": also "setups,explore,inspect"), SCAN_CELL_PARTS names parts of benchmarks/parts.py (default:
-all). Both versions run one after the other on each part, in the Python of this process, each once: kernels are compiled
-before by a plan of each version. Each row is printed when it is complete.
+all). Both versions run one after the other on each part, in the Python of this process, each once, with a cache of
+their own; the same jobs of the part mug before compile their kernels. Each row is printed when it is complete.
 """
 
 import os
 import sys
 import tempfile
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-import cell
-from benchmarks.cell_process import run_cell
+from benchmarks.cell_process import CODE, run_cell
 from benchmarks.parts import parts, place
 from cell.errors import CellError
-
-CODE = Path(cell.__file__).parents[1]
-"""Checkout of this version."""
 
 
 def run() -> list[dict[str, Any]]:
@@ -30,17 +27,16 @@ def run() -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        for version, code in versions:
-            run_cell(folder, "plan", "--place", place(), "--out", str(folder / f"warm_{version}"), code=code)
+        for job, (version, code) in product(jobs, versions):
+            _row(job, ("mug",), folder / f"warm_{version}", folder, code)
         for name, arguments in parts(folder):
             if wanted and name.removesuffix(" (file)") not in wanted.split(","):
                 continue
             for job in jobs:
                 for version, code in versions:
                     out = folder / f"{name.split()[0]}_{version}"
-                    rows.append(
-                        {"part": name, "job": job, "version": version} | _row(job, arguments, out, folder, code)
-                    )
+                    row = {"part": name, "job": job, "version": version}
+                    rows.append(row | _row(job, arguments, out, folder, code))
                     print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- keeps rows of an interrupted run
     return rows
 
@@ -56,7 +52,7 @@ def _row(job: str, arguments: tuple[str, ...], out: Path, folder: Path, code: Pa
         "inspect": ("inspect", str(out), "--part", *arguments, "--out", str(own)),
     }[job]
     try:
-        values, use = run_cell(folder, *words, code=code)
+        values, use = run_cell(folder, *words, code=code, cache=folder / f"cache_{out.name.rpartition('_')[2]}")
     except CellError as error:
         return {"error": str(error)[:100]}
     return _RESULTS[job](values) | {name: round(value, 1) for name, value in use.items()}

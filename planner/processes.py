@@ -9,4 +9,5 @@ def python_command(code: str) -> list[str]:
     Modules, such as plug-ins, may be on a path that only this process has. Those of the working directory are not
     imported unless this process imports them.
     """
-    return [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"]
+    path = [folder for folder in sys.path if isinstance(folder, str)]  # the import system ignores others
+    return [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {path!r}; {code}"]

@@ -84,15 +84,14 @@ def charts(rows: list[Row]) -> None:
 
     table = grouped(rows, "AB", "free", 0.99)
     figure, axes = plt.subplots(figsize=(6.5, 4.2))
-    for method in methods_of(table):
-        own = [(each[method], each["best-known"]["value"]) for each in table.values() if method in each]
-        if len(own) > len(table) // 2:
-            excess = [100 * (row["value"] / best - 1) for row, best in own]
-            seconds = float(np.exp(np.mean([np.log(row["cpu_s"]) for row, _ in own])))
-            axes.plot(seconds, np.mean(excess), "o")
-            axes.annotate(
-                f"{method} ({len(own)})", (seconds, np.mean(excess)), xytext=(5, 5), textcoords="offset points"
-            )
+    methods = [m for m in methods_of(table) if sum(m in each for each in table.values()) > len(table) // 2]
+    common = [each for each in table.values() if all(method in each for method in methods)]
+    for method in methods:
+        excess = np.mean([100 * (each[method]["value"] / each["best-known"]["value"] - 1) for each in common])
+        seconds = np.exp(np.mean([np.log(each[method]["cpu_s"]) for each in common]))
+        axes.plot(seconds, excess, "o")
+        axes.annotate(method, (seconds, excess), xytext=(5, 5), textcoords="offset points")
+    axes.set_title(f"{len(common)} instances that all these methods have", fontsize=9)
     axes.set(xscale="log", xlabel="processor time, geometric mean [s]", ylabel="views above the best known, mean [%]")
     axes.margins(x=0.3, y=0.15)
     figure.tight_layout()

@@ -143,7 +143,8 @@ class RsiLink:
             listener._listener._socket.settimeout(_LOOK)  # type: ignore[attr-defined]  # accept() has no time-out
             where = f"127.0.0.1:{listener.address[1]}"
             # The module path of this process: a folder of the user may have a package of the same name.
-            code = f"import sys; sys.path[:] = {sys.path!r}; from drivers.wires.rsi_stream import main; main()"
+            path = [folder for folder in sys.path if isinstance(folder, str)]
+            code = f"import sys; sys.path[:] = {path!r}; from drivers.wires.rsi_stream import main; main()"
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", code, where],
                 stdin=subprocess.PIPE,
