@@ -49,9 +49,8 @@ def boundary(lab: Lab, rng: Generator) -> NextView:
         out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
         directions = np.concatenate([np.cos(tilt) * normals[at] + np.sin(tilt) * out for tilt in TILTS])
         targets = np.tile(points[at], (len(TILTS), 1))
-        T = aim_viewpoints(targets, directions, np.full(len(targets), -1), [lab.middle_range], [0.0]).T_object_scanner[
-            :, 0
-        ]
+        viewpoints = aim_viewpoints(targets, directions, np.full(len(targets), -1), [lab.middle_range], [0.0])
+        T = viewpoints.T_object_scanner[:, 0]
         return most_unknown(lab, known, T[~_executed(T, np.stack(known.poses), _NEXT_TO * lab.middle_range)])
 
     return next_view

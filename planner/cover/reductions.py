@@ -297,12 +297,10 @@ def _integer_costs(
     if len(bad):
         raise PlannerError(f"costs[{bad[0]}] is {column_costs[bad[0]]}; a cost must be a finite number above zero")
     column_costs[~useful] = column_costs[useful].min(initial=column_costs.max(initial=1.0))
-    top = max(float(column_costs[~forced].max(initial=0.0)), float(group_costs.max(initial=0.0))) or float(
-        column_costs.max(initial=1.0)
-    )
-    column_costs[forced] = np.minimum(
-        column_costs[forced], top
-    )  # every selection has them, and is priced with the caller's costs
+    top = max(float(column_costs[~forced].max(initial=0.0)), float(group_costs.max(initial=0.0)))
+    top = top or float(column_costs.max(initial=1.0))
+    # Every selection has the forced columns, and is priced with the caller's costs.
+    column_costs[forced] = np.minimum(column_costs[forced], top)
     both = np.concatenate((column_costs, group_costs))
     if both.max(initial=0.0) <= COST_UNITS and (both == np.rint(both)).all():
         whole = both.astype(np.int64)
