@@ -217,8 +217,8 @@ class Evaluation:
                     points, shape = self._dense_points((feature.name, 0)), self._patch_shape((feature.name, 0))
                     if not surround(points, shape):
                         own.append(
-                            f"its points lie on one side of it, and its {characteristic.criterion} diameter needs them "
-                            "all around"
+                            f"its points lie on one side of it, or on opposite sides of its ends, and its "
+                            f"{characteristic.criterion} diameter needs them all around"
                         )
             found += [f"{feature.name}: {cause}" for cause in own]
         return found

@@ -498,6 +498,29 @@ class TestDegenerateFeatures:
         else:
             assert found.value is None
 
+    @pytest.mark.parametrize("criterion", ["inscribed", "circumscribed"])
+    @pytest.mark.parametrize(("kind", "gap"), [("cylinder", 0.1), ("cylinder", 0.02), ("circle", 0.1)])
+    def test_an_extremal_cylinder_may_not_tilt_between_its_points(
+        self, block: Workpiece, criterion: str, kind: str, gap: float
+    ) -> None:
+        """Points on one side of the upper part and on the other side of the lower part hold a circle only.
+
+        A cylinder tilts between them, and the inscribed one becomes as large as the tilt may be.
+        """
+        size = {"kind": "size", "criterion": criterion, **LIMITS}
+        plan = plan_of(block, [{"name": "bore", "faces": (7,), "kind": kind, "characteristic": [size]}])
+        points = points_on(block, 60_000, 1e-5)
+        off, height = points[:, :2] - [0.03, 0.02], points[:, 2] / 0.03 - 0.5
+        on_bore = (np.linalg.norm(off, axis=1) < 0.0081) & (np.abs(height) > gap)
+        arc = np.abs(np.degrees(np.arctan2(off[:, 1], np.sign(height) * off[:, 0]))) < 80
+        found = inspected(block, points[on_bore & arc], plan, sigma=1e-5).result.characteristics[0]
+        assert ("needs them all around" in found.cause) == (kind == "cylinder")
+        if kind == "cylinder":
+            assert found.value is None
+            assert found.verdict == "not measured"
+        else:
+            assert found.value is not None
+
     def test_a_datum_plane_of_nearly_collinear_points(self, block: Workpiece) -> None:
         """Only what depends on the tilt of the datum about the line of its points is in doubt."""
         points = points_on(block, 60_000, 1e-5)
