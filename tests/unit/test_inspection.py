@@ -193,6 +193,40 @@ class TestQif:
         assert unsupported == []
         assert next(each.upper for each in plan.characteristics if each.name == "Diameter 42") == pytest.approx(16.2)
 
+    @pytest.mark.parametrize(("name", "base", "factor"), [
+        ("millimeter", "meter", 1e-3), ("micrometre", "meter", 1e-6), ("inch", "meter", 0.0254),
+        ("meter", "meter", 1.0), ("foot", "foot", 1.0), ("ft", "meter", None), ("deg", "meter", None),
+    ])  # fmt: skip
+    def test_a_unit_without_conversion_is_known_or_refused(
+        self, block: Workpiece, tmp_path: Path, name: str, base: str, factor: float | None
+    ) -> None:
+        """The flatness of 300 in a unit that the file names without a factor."""
+        text = bored_block_qif().replace("<UnitConversion><Factor>0.000001</Factor></UnitConversion>", "")
+        text = text.replace(
+            "<SIUnitName>meter</SIUnitName><UnitName>um<", f"<SIUnitName>{base}</SIUnitName><UnitName>{name}<"
+        )
+        text = text.replace('linearUnit="um"', f'linearUnit="{name}"')
+        if factor is None:
+            with pytest.raises(FileError, match=f"its unit '{name}' has no conversion"):
+                self.read(block, tmp_path, text)
+            return
+        plan, _ = self.read(block, tmp_path, text)
+        flatness = next(each.upper for each in plan.characteristics if each.name == "Flatness 41")
+        assert flatness == pytest.approx(300e3 * factor)
+
+    def test_degrees_without_conversion_are_not_radians(self, block: Workpiece, tmp_path: Path) -> None:
+        definition = (
+            '---<AngleBetweenCharacteristicDefinition id="34"><Tolerance><MaxValue>0.5</MaxValue><MinValue>-0.5'
+            "</MinValue><DefinedAsLimit>false</DefinedAsLimit></Tolerance></AngleBetweenCharacteristicDefinition>"
+        )
+        nominal = characteristic("AngleBetween", 53, 34, 1100, "<TargetValue>90</TargetValue>")
+        text = bored_block_qif(extra=nominal.replace("<Id>1100</Id>", "<Id>1100</Id><Id>1200</Id>") + definition)
+        text = text.replace("<UnitConversion><Factor>0.017453292519943</Factor></UnitConversion>", "")
+        plan, unsupported = self.read(block, tmp_path, text.replace("<UnitName>degree<", "<UnitName>deg<"))
+        assert unsupported == []
+        angle = next(each for each in plan.characteristics if each.name == "AngleBetween 53")
+        assert (angle.nominal, angle.upper) == pytest.approx((90, 90.5))
+
     def test_what_is_not_supported_is_named(self, block: Workpiece, tmp_path: Path) -> None:
         extra = characteristic("LineProfile", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
         _, unsupported = self.read(block, tmp_path, bored_block_qif(extra=extra))
