@@ -106,10 +106,12 @@ def _with_bound(
     problem: SelectionProblem, before: Selection, selection: Selection, rng: np.random.Generator
 ) -> Selection:
     """Return a selection with target and bound of the request without demands, over the rows of the problem."""
-    targets = np.minimum(before.targets, selection.claimed_coverage)
-    plain = replace(problem, request=replace(problem.request, demand=None, demand_of=None))
-    start = replace(before, targets=targets)
-    easier = select_views(plain, rng.spawn(1)[0], start=start, search=Search.CONTINUED)
+    easier, targets = before, before.targets
+    if not problem.request.is_complete:  # else the bound holds for more rows too
+        targets = np.minimum(targets, selection.claimed_coverage)
+        plain = replace(problem, request=replace(problem.request, demand=None, demand_of=None))
+        start = replace(before, targets=targets)
+        easier = select_views(plain, rng.spawn(1)[0], start=start, search=Search.CONTINUED)
     bound = min(easier.cover.lower_bound, len(selection.cover.views))
     status = CoverStatus.PROVEN if bound == len(selection.cover.views) else CoverStatus.BOUNDED
     cover = replace(selection.cover, lower_bound=bound, status=status)
