@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.inspect.alignment import common_element, datum_frame, moved
 from cell.inspect.features import Characteristic, InspectionPlan, distance_between
@@ -59,7 +60,8 @@ class Measurement:
         method: of the evaluation, in words.
         cause: reason for a missing value.
         note: doubt about the value.
-        contributions: share of the points of each feature in the variance, of a predicted U above its limit.
+        contributions: share of each feature in the variance of the components from points.
+        pose_share: share of the pose errors in the variance of the components.
     """
 
     characteristic: Characteristic
@@ -70,6 +72,7 @@ class Measurement:
     cause: str = ""
     note: str = ""
     contributions: Mapping[str, float] = field(default_factory=dict)
+    pose_share: float = 0.0
 
 
 def verdict_of(value: float, uncertainty: float, lower: float | None, upper: float | None) -> Verdict:
@@ -173,22 +176,15 @@ class Evaluation:
         g = model.components(shapes)
         slopes = self._slopes(model, shapes, g)
         scale = 1000.0 if characteristic.unit == "mm" else float(np.degrees(1.0))
-        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, slopes, g)
+        gain, source = self._gain(model, slopes, g)
+        value, uncertainty = scale * model.value(g), scale * self._uncertainty(model, gain, g)
         verdict = verdict_of(value, uncertainty, characteristic.lower, characteristic.upper)
         note = "; ".join(self._weak_features(characteristic, slopes))
-        return Measurement(characteristic, value, uncertainty, verdict, model.method, note=note)
-
-    def contributions(self, characteristic: Characteristic) -> dict[str, float]:
-        """Return the share of the points of each feature in the variance of a value, without pose errors."""
-        if self._causes(characteristic):
-            return {}
-        model, shapes = self._model(characteristic), self._shapes(characteristic)
-        slopes, found = self._slopes(model, shapes, model.components(shapes)), dict[str, float]()
-        for (name, _), gain in self._noise(model, slopes).items():
-            own = gain if model.residual is None else model.residual @ gain
-            found[name] = found.get(name, 0.0) + float((own**2).sum())
-        total = sum(found.values())
-        return {name: each / total for name, each in found.items()} if total > 0 else {}
+        shares, pose_share = _shares(gain, source)
+        return Measurement(
+            characteristic, value, uncertainty, verdict, model.method, note=note, contributions=shares,
+            pose_share=pose_share,
+        )  # fmt: skip
 
     def values(self) -> list[float]:
         """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
@@ -217,8 +213,8 @@ class Evaluation:
                     points, shape = self._dense_points((feature.name, 0)), self._patch_shape((feature.name, 0))
                     if not surround(points, shape):
                         own.append(
-                            f"its points lie on one side of it, and its {characteristic.criterion} diameter needs them "
-                            "all around"
+                            f"its points lie on one side of it, or on opposite sides of its ends, and its "
+                            f"{characteristic.criterion} diameter needs them all around"
                         )
             found += [f"{feature.name}: {cause}" for cause in own]
         return found
@@ -247,9 +243,8 @@ class Evaluation:
             if times > 1:
                 yield f"nearly not determined: an error of the points on {key[0]} counts {times:.1f} times"
 
-    def _uncertainty(self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats) -> float:
-        """Return the expanded uncertainty [m or rad]."""
-        gain = self._gain(model, slopes, g)
+    def _uncertainty(self, model: _Model, gain: Floats, g: Floats) -> float:
+        """Return the expanded uncertainty [m or rad] by the change (m, K) of the components by independent errors."""
         if model.reduce is _first or not gain.any():
             return 2 * float(np.linalg.norm(gain))
         # Draws of as few independent errors as there are components.
@@ -264,10 +259,13 @@ class Evaluation:
         # Errors alone make a zone or an offset from zero; the measured one contains its own already.
         return max(spread, scale * float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
 
-    def _gain(self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats) -> Floats:
-        """Return the change (m, K) of the components by independent errors of unit variance.
+    def _gain(
+        self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats
+    ) -> tuple[Floats, NDArray[np.str_]]:
+        """Return the change (m, K) of the components by independent errors of unit variance, and their sources (K,).
 
-        The errors are those of the means of all cells, and of the views' poses, which all patches have in common.
+        The errors are those of the means of all cells, and of the views' poses, which all patches have in common. The
+        source is the name of the feature of the cells; of poses it is empty.
         """
         poses, start = np.zeros((len(g), 6 * len(self.pose_sd))), 0
         for key, J in slopes.items():
@@ -277,9 +275,11 @@ class Evaluation:
                 lever = cells.lever[cells.is_dense]
                 poses[start : start + len(lever)] += lever.reshape(len(lever), -1)
                 start += len(lever)
-        noise = self._noise(model, slopes).values()
-        gain = np.hstack([*noise, poses * np.repeat(self.pose_sd, 3, axis=1).ravel()])
-        return gain if model.residual is None else model.residual @ gain
+        noise = self._noise(model, slopes)
+        gain = np.hstack([*noise.values(), poses * np.repeat(self.pose_sd, 3, axis=1).ravel()])
+        counts = [*(each.shape[1] for each in noise.values()), poses.shape[1]]
+        source = np.repeat(np.array([*(name for name, _ in noise), ""]), counts)
+        return gain if model.residual is None else model.residual @ gain, source
 
     def _noise(self, model: _Model, slopes: Mapping[tuple[str, int], Floats]) -> dict[tuple[str, int], Floats]:
         """Return the change (m, K) of the components by errors of unit variance of the points of each patch."""
@@ -559,6 +559,20 @@ class Evaluation:
         along = radial(axis) if nominal.kind is ShapeKind.PLANE else (points - axis.point) @ axis.axis
         method = f"range of cell means in {_SECTIONS} cross-sections about the datum axis"
         return _Model(deviations, _largest_range(_sections(along)), method, (own,))
+
+
+def _shares(gain: Floats, source: NDArray[np.str_]) -> tuple[dict[str, float], float]:
+    """Return the share of each feature in the variance from points, and that of pose errors in the whole variance.
+
+    Args:
+        gain: change (m, K) of the components by independent errors of unit variance.
+        source: (K,) feature of each error; "" of pose errors.
+    """
+    variance = (gain**2).sum(axis=0)
+    found = {str(name): float(variance[source == name].sum()) for name in np.unique(source)}
+    poses, points = found.pop("", 0.0), sum(found.values())
+    shares = {name: each / points for name, each in found.items()} if points > 0 else {}
+    return shares, poses / (points + poses) if poses > 0 else 0.0
 
 
 def _zone(kind: str, points: Floats, shape: Shape, steps: int) -> float:

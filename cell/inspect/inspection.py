@@ -30,7 +30,10 @@ from planner.registration.rigid import transform_points
 from planner.values import Floats, Ints
 
 _RPS_POINTS = 12  # measured points near a reference point, whose mean is used
-EXACT_POSES = "U contains no pose errors: the plan has none; --pose-sd states them"
+EXACT_POSES = (
+    "U contains no pose errors: the plan has none; --pose-sd states them, but then coverage counts samples that are "
+    "measured at a confidence, poses are not searched, and no views are added for U"
+)
 _FIT_POINTS = 20_000  # of the best fit
 
 

@@ -37,7 +37,7 @@ ARC_DEG = 180.0
 """Smallest arc of a cylinder or cone that has points."""
 
 MAIN = 0.5
-"""Share of the variance of a value from which other features are named as the main source."""
+"""Share of a variance from which other features, or pose errors, are named as the main source."""
 
 _NODES = 1200  # of a patch, four in a cell
 _DRAWN = 20_000  # samples of a patch, which are combined in its nodes
@@ -171,25 +171,27 @@ def predicted_measurements(
         causes = [*filter(None, [measurement.cause, measurement.note])]
         for feature in plan.features_of(characteristic):
             causes += [f"{feature.name}: {each}" for patch in features[feature.name].patches for each in patch.missed]
-        tolerance, uncertainty, shares = characteristic.tolerance, measurement.expanded_uncertainty, dict[str, float]()
+        tolerance, uncertainty = characteristic.tolerance, measurement.expanded_uncertainty
         if plan.u_over_t is not None and tolerance and uncertainty and uncertainty > plan.u_over_t * tolerance:
             limit = plan.u_over_t * tolerance
-            shares = evaluation.contributions(characteristic)
             text = f"U is {uncertainty:.4f} {characteristic.unit}, more than {plan.u_over_t:g} T = {limit:.4f}"
-            causes.append("; ".join(filter(None, [text, main_source(plan, characteristic, shares)])))
+            source = main_source(plan, characteristic, measurement.contributions)
+            if measurement.pose_share > MAIN:
+                source = f"{measurement.pose_share:.0%} of the variance is from pose errors"
+            causes.append("; ".join(filter(None, [text, source])))
         verdict = Verdict.NOT_MEASURED if uncertainty is None else measurement.verdict
         cause = "; ".join(dict.fromkeys(causes))
-        found.append(replace(measurement, verdict=verdict, cause=cause, contributions=shares))
+        found.append(replace(measurement, verdict=verdict, cause=cause))
     return found
 
 
 def main_source(plan: InspectionPlan, characteristic: Characteristic, contributions: Mapping[str, float]) -> str:
-    """Return a clause about the datums, or another feature, if most of the variance of a value is theirs; else "".
+    """Return a clause about the datums, or another feature, if most of the variance from points is theirs; else "".
 
     Args:
         plan: features.
         characteristic: of the value.
-        contributions: share of each feature in the variance.
+        contributions: share of each feature in the variance from points.
     """
     datums = {
         each.name: letter
@@ -200,9 +202,9 @@ def main_source(plan: InspectionPlan, characteristic: Characteristic, contributi
     if share > MAIN:
         name = max(datums, key=lambda each: contributions.get(each, 0.0))
         frame = "|".join(characteristic.datums)
-        return f"{share:.0%} of its variance is from the datums {frame}, mostly {datums[name]} ({name})"
+        return f"{share:.0%} of the variance from points is from the datums {frame}, mostly {datums[name]} ({name})"
     share = contributions.get(characteristic.to or "", 0.0)
-    return f"{share:.0%} of its variance is from {characteristic.to}" if share > MAIN else ""
+    return f"{share:.0%} of the variance from points is from {characteristic.to}" if share > MAIN else ""
 
 
 def _missed_demands(shape: Shape | None, points: Floats, seen: Bools, share: float) -> Iterator[str]:

@@ -7,7 +7,7 @@ their attribute names, else the primary unit of the file. Every characteristic i
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
@@ -26,12 +26,13 @@ from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
-_NO_FACE = "is no face of the part"
 _NAME = 60  # characters; longer names are cut
-_SI = {
-    "mm": 1e-3, "cm": 1e-2, "m": 1.0, "meter": 1.0, "um": 1e-6, "inch": 0.0254, "in": 0.0254,
-    "radian": 1.0, "degree": np.pi / 180,
+_LENGTHS = {
+    "m": 1.0, "meter": 1.0, "metre": 1.0, "cm": 1e-2, "centimeter": 1e-2, "centimetre": 1e-2, "mm": 1e-3,
+    "millimeter": 1e-3, "millimetre": 1e-3, "um": 1e-6, "micrometer": 1e-6, "micrometre": 1e-6, "in": 0.0254,
+    "inch": 0.0254,
 }  # fmt: skip  # factors of units that a file names without a conversion
+_ANGLES = {"rad": 1.0, "radian": 1.0, "deg": np.pi / 180, "degree": np.pi / 180}
 _SURFACES = {
     "Plane23": SurfaceKind.PLANE,
     "Cylinder23": SurfaceKind.CYLINDER,
@@ -157,7 +158,7 @@ class _Reader:
             except _UnsupportedError as error:
                 found.unsupported.append(f"{name} ({kind}): {error}")
         found.features += [self._checked(table) for table in self._tables.values()]
-        if not found.features and any(_NO_FACE in sentence for sentence in found.unsupported):
+        if not found.features and self._faces.has_unknown:
             found.notes.append(
                 "no face of the file is a face of the part: it is the file of another part, or its model has another "
                 "place or unit; export it from the model of the STEP file"
@@ -177,15 +178,18 @@ class _Reader:
         """Return the factor of each unit to metres, and the name of the primary unit."""
         factors: dict[str, float] = {}
         for unit in self._root.iterfind(f"FileUnits//{tag}"):
-            factors[unit.findtext("UnitName") or ""] = self._factor(unit)
+            factors[unit.findtext("UnitName") or ""] = self._factor(unit, _LENGTHS if tag == "LinearUnit" else _ANGLES)
         primary = self._root.findtext(f"FileUnits/PrimaryUnits/{tag}/UnitName") or ""
         return factors, primary
 
-    def _factor(self, unit: ElementTree.Element) -> float:
-        """Return the factor of a unit to the SI unit."""
-        name = unit.findtext("UnitName") or ""
+    def _factor(self, unit: ElementTree.Element, known: Mapping[str, float]) -> float:
+        """Return the factor of a unit to the SI unit, without a conversion that of a known name."""
+        name, base = unit.findtext("UnitName") or "", unit.findtext("SIUnitName")
         if (text := unit.findtext("UnitConversion/Factor")) is None:
-            return _SI.get(name, 1.0)
+            factor = known.get(name, 1.0 if name == base else None)
+            if factor is None:
+                raise _UnsupportedError(f"its unit '{name}' has no conversion, and is none of {', '.join(known)}")
+            return factor
         if (value := _number(text, "factor of a unit")) <= 0:
             raise _UnsupportedError(f"its factor of the unit '{name}' is {value:g}, not above 0")
         return value
@@ -210,7 +214,7 @@ class _Reader:
 
     def _angle_deg(self, element: ElementTree.Element) -> float:
         unit = element.get("angularUnit") or self._primary_angle
-        factor = self._angular.get(unit, _SI.get(unit))
+        factor = self._angular.get(unit, _ANGLES.get(unit))
         if factor is None:
             raise _UnsupportedError(f"the file does not define the unit '{unit}'")
         return round(float(np.degrees(_number(element.text, "value") * factor)), 9)
@@ -343,6 +347,7 @@ class _FaceFinder:
     ) -> None:
         self._by_id, self._cad, self._mesh, self._metres = by_id, cad, part.reference, metres
         self._queries: dict[int, ClosestPointQuery] = {}
+        self.has_unknown = False  # whether a face of the file was no face of the part
 
     def numbers(self, ids: Sequence[str]) -> tuple[int, ...]:
         """Return the numbers of the CAD faces of QIF faces, ascending."""
@@ -376,7 +381,8 @@ class _FaceFinder:
             if candidate.kind == kind and len(corners) and self._contains(index, corners)
         ]
         if not found:
-            raise _UnsupportedError(f"face {face_id} of the file {_NO_FACE}")
+            self.has_unknown = True
+            raise _UnsupportedError(f"face {face_id} of the file is no face of the part")
         return found
 
     def _contains(self, index: int, points: Floats) -> bool:

@@ -130,12 +130,12 @@ class _Numbering:
         return len(self.all) - 1
 
 
-def edit(session: Session[None], run: Run, edit: Edit, *, T_base_object: Floats | None = None) -> Path:
+def edit(session: Session[None], run: Run, changes: Edit, *, T_base_object: Floats | None = None) -> Path:
     """Make a new run of an edited plan; see `cell.api.edit`."""
-    if edit.repair:
+    if changes.repair:
         require_repairable(run)
-    check_edit(edit, len(run.candidate), run.report.verdicts.total)
-    if edit.table_angle_deg and run.scene.table is None:
+    check_edit(changes, len(run.candidate), run.report.verdicts.total)
+    if changes.table_angle_deg and run.scene.table is None:
         raise UsageError(f"{run.folder} has no rotary table; omit table_angle")
     scene = scene_of_run(run)
     if T_base_object is not None:
@@ -144,7 +144,7 @@ def edit(session: Session[None], run: Run, edit: Edit, *, T_base_object: Floats 
     opened = None
     try:
         with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
-            opened.conclude(_plan(opened.session, opened.settled, run, edit, is_moved=T_base_object is not None))
+            opened.conclude(_plan(opened.session, opened.settled, run, changes, is_moved=T_base_object is not None))
         return opened.path
     except (UsageError, UnreachableError):  # nothing in the folder explains more than the message
         if opened is not None:
@@ -152,33 +152,33 @@ def edit(session: Session[None], run: Run, edit: Edit, *, T_base_object: Floats 
         raise
 
 
-def _plan(session: PlanSession, settled: SettledScene, before: Run, edit: Edit, *, is_moved: bool) -> Verdict:
+def _plan(session: PlanSession, settled: SettledScene, before: Run, changes: Edit, *, is_moved: bool) -> Verdict:
     surface = pipeline.copy_surface(session, settled, before)
     viewpoints, T_scanner_view = scanners.viewpoints_of_columns(settled.scanner, before.candidates)
-    if edit.drop:
-        settled = _with_bans(session, settled, before, edit, viewpoints)
+    if changes.drop:
+        settled = _with_bans(session, settled, before, changes, viewpoints)
     cell = pipeline.compile_cell(session, settled, surface)
-    edited = _edited(settled, before, edit, cell, surface, (viewpoints, T_scanner_view))
+    edited = _edited(settled, before, changes, cell, surface, (viewpoints, T_scanner_view))
     if is_moved:
         with session.stage("reach") as progress:
             candidates = reach_viewpoints(settled, cell, viewpoints, progress)
         measured = pipeline.measure_candidates(session, settled, surface, cell, candidates, may_be_empty=True)
-        edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=edit.repair)
+        edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=changes.repair)
     else:
         measured = _measured_before(session, settled, before, cell, surface, edited)
-    append = pipeline.appending(session, settled, cell, surface) if edit.repair else None
-    near_banned = _near(edit, viewpoints, list(settled.scene.plan.banned))
+    append = pipeline.appending(session, settled, cell, surface) if changes.repair else None
+    near_banned = _near(changes, viewpoints, list(settled.scene.plan.banned))
     pinned = tuple(view for view in settled.scene.plan.pinned if view not in edited.dropped)
     settled = _with_plan(settled, settled.scene.plan.model_copy(update={"pinned": pinned}))
     while True:
-        problem = _problem(session, settled, before, edit, cell, measured, edited, is_moved=is_moved)
+        problem = _problem(session, settled, before, changes, cell, measured, edited, is_moved=is_moved)
         try:
             problem, plan = pipeline.select_and_connect(
                 session, problem, surface, append, is_allowed=lambda T: ~near_banned.contains(T)
             )
             break
         except PinnedViewError as error:
-            edited = _without(session, error, edited, may_leave_out=is_moved and edit.repair)
+            edited = _without(session, error, edited, may_leave_out=is_moved and changes.repair)
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
     annotations: dict[str, object] = {"part": before.report.part, "common_cover": before.is_setup_of_group or None}
     if not is_bounded:
@@ -187,7 +187,7 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, edit: Edit, 
     for view in edited.views:
         if not (plan.matrix.indices == view).any():
             session.note(f"{edited.names[view]} measures none of the samples")
-    if edit.repair:
+    if changes.repair:
         added = [f"{view}" for view in plan.candidate.tolist() if view not in edited.views]
         session.note(f"repaired by adding candidate {', '.join(added)}" if added else "no candidate is added")
     report = pipeline.finish(session, settled, surface.planning, problem, plan, annotations)
@@ -200,38 +200,38 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, edit: Edit, 
     has_target = options.max_views is None and options.multiplicity == 1
     has_target &= options.pose_sd_mm == options.pose_sd_deg == 0
     remedy = _REPAIR
-    if edit.repair:
+    if changes.repair:
         remedy = "plan again, or edit with a smaller --dropped-range" if options.banned else "plan again"
     verdict = judge_plan(report, (remedy, remedy), has_target=has_target)
     share = plan.cover.covered_area / plan.cover.coverable_area
-    if edit.repair and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
+    if changes.repair and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
         sentence = f"the plan measures {100 * share:.2f} % of the coverable samples, less than the requested 100 %: "
         return Verdict((sentence + remedy, *verdict.missed))
     return verdict
 
 
 def _with_bans(
-    session: PlanSession, settled: SettledScene, before: Run, edit: Edit, viewpoints: Viewpoints
+    session: PlanSession, settled: SettledScene, before: Run, changes: Edit, viewpoints: Viewpoints
 ) -> SettledScene:
     """Ban dropped views and the candidates near them, but neither other views nor candidates that the edit adds."""
-    dropped = before.candidate[[number - 1 for number in edit.drop]]
-    is_near = _near(edit, viewpoints, dropped).contains(viewpoints.T_object_scanner[:, 0])
-    is_near[[*np.setdiff1d(before.candidate, dropped), *edit.add_candidate]] = False
+    dropped = before.candidate[[number - 1 for number in changes.drop]]
+    is_near = _near(changes, viewpoints, dropped).contains(viewpoints.T_object_scanner[:, 0])
+    is_near[[*np.setdiff1d(before.candidate, dropped), *changes.add_candidate]] = False
     options = settled.scene.plan
     pinned = tuple(view for view in options.pinned if view not in dropped)
-    banned = tuple(sorted({*options.banned, *np.flatnonzero(is_near).tolist()} - {*pinned, *edit.add_candidate}))
+    banned = tuple(sorted({*options.banned, *np.flatnonzero(is_near).tolist()} - {*pinned, *changes.add_candidate}))
     if others := int(is_near.sum() - np.isin(dropped, np.flatnonzero(is_near)).sum()):
         session.note(
-            f"{others} candidates within {edit.dropped_range_mm:g} mm and {edit.dropped_range_deg:g} deg of a "
+            f"{others} candidates within {changes.dropped_range_mm:g} mm and {changes.dropped_range_deg:g} deg of a "
             "dropped view are banned; --dropped-range changes this"
         )
     return _with_plan(settled, options.model_copy(update={"pinned": pinned, "banned": banned}))
 
 
-def _near(edit: Edit, viewpoints: Viewpoints, which: ArrayLike) -> Neighbourhood:
+def _near(changes: Edit, viewpoints: Viewpoints, which: ArrayLike) -> Neighbourhood:
     """Return the poses within the range of the edit around some viewpoints."""
     T = viewpoints.T_object_scanner[np.asarray(which, dtype=np.int64), 0]
-    return Neighbourhood(T, edit.dropped_range_mm / 1000, float(np.radians(edit.dropped_range_deg)))
+    return Neighbourhood(T, changes.dropped_range_mm / 1000, float(np.radians(changes.dropped_range_deg)))
 
 
 def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
@@ -239,12 +239,12 @@ def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
 
 
 def _edited(
-    settled: SettledScene, before: Run, edit: Edit, cell: Cell, surface: PartSurface,
+    settled: SettledScene, before: Run, changes: Edit, cell: Cell, surface: PartSurface,
     known: tuple[Viewpoints, Floats],
 ) -> EditedViews:  # fmt: skip
     """Apply the edit; views of a sweeping sensor are named by the middle poses of their sweeps."""
     viewpoints, T_scanner_view = known
-    q = np.append(cell.world.home[:ARM_AXES], np.radians(edit.table_angle_deg))
+    q = np.append(cell.world.home[:ARM_AXES], np.radians(changes.table_angle_deg))
     T_object_base = np.linalg.inv(cell.world.T_base_part(q))
 
     def T_object_view(values: Pose) -> Floats:
@@ -255,7 +255,7 @@ def _edited(
         hit = surface.caster.first_hit(T[None, :3, 3], T[None, :3, 2]).distance[0]
         return float(hit) if np.isfinite(hit) else float(np.linalg.norm(T[:3, 3] - settled.part.centre))
 
-    return apply_edit(edit, before.candidate.tolist(), viewpoints, T_object_view, standoff)
+    return apply_edit(changes, before.candidate.tolist(), viewpoints, T_object_view, standoff)
 
 
 def _measured_before(
@@ -320,12 +320,12 @@ def _still_reachable(
 
 
 def _problem(
-    session: PlanSession, settled: SettledScene, before: Run, edit: Edit, cell: Cell, measured: MeasuredSet,
+    session: PlanSession, settled: SettledScene, before: Run, changes: Edit, cell: Cell, measured: MeasuredSet,
     edited: EditedViews, *, is_moved: bool,
 ) -> SelectionProblem:  # fmt: skip
     """Request these views; with repair, the fewest additional ones. Unchanged views keep their order."""
     options = settled.scene.plan
-    if edit.repair:
+    if changes.repair:
         pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))
         banned = tuple(sorted({*options.banned, *edited.dropped} - {*pinned}))
         options = options.model_copy(update={"pinned": pinned, "banned": banned})
@@ -397,13 +397,13 @@ def require_repairable(run: Run) -> None:
 
 
 def apply_edit(
-    edit: Edit, views: Sequence[int], known: Viewpoints, T_object_view: Callable[[Pose], Floats],
+    changes: Edit, views: Sequence[int], known: Viewpoints, T_object_view: Callable[[Pose], Floats],
     standoff: Callable[[Floats], float],
 ) -> EditedViews:  # fmt: skip
     """Apply an edit to the views of a plan.
 
     Args:
-        edit: changes.
+        changes: of the edit.
         views: candidates of the plan in visiting order.
         known: all candidates, one pose each.
         T_object_view: returns the (4, 4) pose of a viewpoint for a pose that a user gave.
@@ -412,14 +412,14 @@ def apply_edit(
     Raises:
         UsageError: if the edit names a view or candidate that does not exist, takes a view twice, or leaves none.
     """
-    check_edit(edit, len(views), len(known))
+    check_edit(changes, len(views), len(known))
     numbering, candidate_of = _Numbering(known), dict[int, int]()
-    changed: dict[int, Floats] = {move.view: T_object_view(move.pose) for move in edit.move}
-    for turn in edit.turn:
+    changed: dict[int, Floats] = {move.view: T_object_view(move.pose) for move in changes.move}
+    for turn in changes.turn:
         changed[turn.view] = known.T_object_scanner[views[turn.view - 1], 0] @ pose((0, 0, 0), (turn.angle, 0, 0))
-    turned = {turn.view for turn in edit.turn}
+    turned = {turn.view for turn in changes.turn}
     for number, candidate in enumerate(views, start=1):
-        if number in edit.drop:
+        if number in changes.drop:
             continue
         T = changed.get(number)
         if T is None:
@@ -430,9 +430,9 @@ def apply_edit(
         else:
             candidate_of[number] = numbering.number_of(T, -1, standoff(T))
     names = {candidate: f"view {number}" for number, candidate in candidate_of.items()}
-    poses = [numbering.number_of(T, -1, standoff(T)) for T in map(T_object_view, edit.add_pose)]
-    candidate_of |= enumerate([*edit.add_candidate, *poses], start=len(views) + 1)
-    added = {candidate: f"candidate {candidate}" for candidate in edit.add_candidate}
+    poses = [numbering.number_of(T, -1, standoff(T)) for T in map(T_object_view, changes.add_pose)]
+    candidate_of |= enumerate([*changes.add_candidate, *poses], start=len(views) + 1)
+    added = {candidate: f"candidate {candidate}" for candidate in changes.add_candidate}
     names = added | {candidate: f"added pose {k}" for k, candidate in enumerate(poses, start=1)} | names
     number_of: dict[int, int] = {}
     for number, candidate in candidate_of.items():
@@ -442,40 +442,40 @@ def apply_edit(
     return EditedViews(
         views=tuple(candidate_of.values()),
         names=names,
-        order=_order(edit, candidate_of, len(views)),
+        order=_order(changes, candidate_of, len(views)),
         dropped=tuple(candidate for candidate in views if candidate not in number_of),
         appended=numbering.appended,
     )
 
 
-def check_edit(edit: Edit, n_views: int, n_candidates: int) -> None:
+def check_edit(changes: Edit, n_views: int, n_candidates: int) -> None:
     """Refuse an edit that names a view or candidate that does not exist.
 
     Raises:
         UsageError: with the existing numbers.
     """
     view_numbers = {
-        "drop": edit.drop,
-        "move": [each.view for each in edit.move],
-        "turn": [each.view for each in edit.turn],
+        "drop": changes.drop,
+        "move": [each.view for each in changes.move],
+        "turn": [each.view for each in changes.turn],
     }
     for key, numbers in view_numbers.items():
         if wrong := [number for number in numbers if number > n_views]:
             raise UsageError(f"{key} names view {wrong[0]}; the plan has the views 1 to {n_views}")
-    if wrong := [candidate for candidate in edit.add_candidate if candidate >= n_candidates]:
+    if wrong := [candidate for candidate in changes.add_candidate if candidate >= n_candidates]:
         raise UsageError(f"there is no candidate {wrong[0]} to add; there are candidates 0 to {n_candidates - 1}")
-    views = [number for number in range(1, n_views + 1) if number not in edit.drop]
-    views += range(n_views + 1, n_views + 1 + len(edit.add_candidate) + len(edit.add_pose))
+    views = [number for number in range(1, n_views + 1) if number not in changes.drop]
+    views += range(n_views + 1, n_views + 1 + len(changes.add_candidate) + len(changes.add_pose))
     if not views:
         raise UsageError("the edit leaves no view; keep at least one")
-    if edit.order and sorted(edit.order) != views:
-        missing, extra = sorted({*views} - {*edit.order}), sorted({*edit.order} - {*views})
+    if changes.order and sorted(changes.order) != views:
+        missing, extra = sorted({*views} - {*changes.order}), sorted({*changes.order} - {*views})
         problem = f"leaves out {comma_list(missing)}" if missing else f"names {comma_list(extra)}"
         raise UsageError(f"the order {problem}; it must name each of the views {comma_list(views)} once")
 
 
-def _order(edit: Edit, candidate_of: Mapping[int, int], n_views: int) -> tuple[int, ...] | None:
+def _order(changes: Edit, candidate_of: Mapping[int, int], n_views: int) -> tuple[int, ...] | None:
     """Return the candidates in the requested order."""
-    if edit.keep_order:
+    if changes.keep_order:
         return tuple(candidate for number, candidate in candidate_of.items() if number <= n_views)
-    return tuple(candidate_of[number] for number in edit.order) or None
+    return tuple(candidate_of[number] for number in changes.order) or None

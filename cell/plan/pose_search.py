@@ -182,14 +182,17 @@ def search_views(
     more, moved = _appended(problem, selection, join_poses([fixed, fewer[-1]]), append)
     # A selection among all candidates may need still fewer views.
     among_all = continue_selection(more, moved, selection_rng)
-    is_better = len(among_all.cover.views) < len(moved.cover.views) and among_all.satisfies(problem.request.targets)
-    if is_better:
+    if (among_all.targets > moved.targets).any() and not _is_better(among_all, moved, problem.request):
+        # Its bound holds for a higher target only.
+        among_all = select_views(more, selection_rng.spawn(1)[0], start=moved, search=Search.CONTINUED)
+    if _is_better(among_all, moved, problem.request):
         return more, among_all, numbers
-    bounded = moved.with_bounds_of(among_all)
-    if (among_all.targets > moved.targets).any():  # its bound holds for a higher target only
-        lower = select_views(more, selection_rng.spawn(1)[0], start=moved, search=Search.CONTINUED)
-        bounded = moved.with_bounds_of(lower)
-    return more, bounded, numbers
+    return more, moved.with_bounds_of(among_all), numbers
+
+
+def _is_better(one: Selection, other: Selection, request: Request) -> bool:
+    """Return whether a selection has fewer views than another one, and satisfies the request."""
+    return len(one.cover.views) < len(other.cover.views) and one.satisfies(request.targets)
 
 
 def _shortfall(

@@ -181,7 +181,7 @@ class Request:
         regions: targets of the regions; None without regions.
         demand: (F,) views that measure `DEMANDED` of the samples on each triangle of the reference, where it is above
             1; None without such triangles.
-        demand_of: (F,) number from 1 of the feature whose samples have this share; None: all triangles are one.
+        demand_of: (F,) number of the set of features whose samples have this share; None: all triangles are one set.
         order: candidates in visiting order, others are inserted where they cost least; None: any order.
         motion: budget of the search for a motion.
         effort: budget of the search for views.

@@ -2,7 +2,8 @@
 
 The uncertainty of a mean falls with the root of the number of points, and that of a pose error with the root of the
 number of views. A characteristic with U above its limit therefore raises the number of views that its samples demand,
-and views are added to those that answer the request until the demands are met. Bounds are those of the request alone.
+and views are added to those that answer the request until the demands are met. Bounds are those of the request alone,
+over the rows of the enlarged matrix.
 """
 
 import logging
@@ -61,10 +62,7 @@ def add_views_for_uncertainty(
     pinned = tuple(dict.fromkeys((*problem.request.plan.pinned, *before.cover.views.tolist())))
     with_pins = problem.request.plan.model_copy(update={"pinned": pinned})
     demand: Ints = np.ones(len(surface.reference.faces), dtype=np.int64)
-    of_feature = np.zeros(len(demand), dtype=np.int64)
-    for number, surfaces in enumerate(association.surfaces.values(), 1):
-        for own in surfaces:
-            of_feature[own.triangles] = number
+    demand_of = _feature_sets(association)
     last = [np.inf] * len(plan.characteristics)
     for left in reversed(range(ROUNDS + 1)):
         T = problem.candidates.T_object_scanner[selection.cover.views]
@@ -76,21 +74,48 @@ def add_views_for_uncertainty(
         for each, factor, earlier in zip(predicted, times, last, strict=True) if left else ():
             if 1.0 < factor <= min(MOST_TIMES, _IMPROVED * earlier):
                 _raise_demand(raised, plan, each, features, association, factor)
-        last = times
+        # The factor of a characteristic that lacks points says nothing about a later one.
+        last = [
+            np.inf if _lacks_points(plan, each, features) else factor
+            for each, factor in zip(predicted, times, strict=True)
+        ]
         if (raised == demand).all():
             break
         new = np.flatnonzero((raised > 1) & (demand == 1))
         demand = raised
         problem = _with_rows(problem, surface, new, fresh)
-        problem = replace(problem, request=replace(problem.request, demand=demand, demand_of=of_feature))
+        problem = replace(problem, request=replace(problem.request, demand=demand, demand_of=demand_of))
         adding = replace(problem, request=replace(problem.request, plan=with_pins))
         selection = select_views(adding, rng, start=selection, search=Search.CONTINUED)
         selection = select_views(adding, rng, start=selection)
-    bound = min(before.cover.lower_bound, len(selection.cover.views))
+    if problem.request.demand is not None:
+        selection = _with_bound(problem, before, selection, rng)
+    return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
+
+
+def _feature_sets(association: Association) -> Ints:
+    """Return a number (F,) for each triangle of the reference: triangles of the same features have the same."""
+    found = np.zeros(len(association.reference.faces), dtype=np.int64)
+    for surfaces in association.surfaces.values():
+        own = np.isin(np.arange(len(found)), np.concatenate([each.triangles for each in surfaces]))
+        found = np.unique(2 * found + own, return_inverse=True)[1]
+    return found
+
+
+def _with_bound(
+    problem: SelectionProblem, before: Selection, selection: Selection, rng: np.random.Generator
+) -> Selection:
+    """Return a selection with target and bound of the request without demands, over the rows of the problem."""
+    easier, targets = before, before.targets
+    if not problem.request.is_complete:  # else the bound holds for more rows too
+        targets = np.minimum(targets, selection.claimed_coverage)
+        plain = replace(problem, request=replace(problem.request, demand=None, demand_of=None))
+        start = replace(before, targets=targets)
+        easier = select_views(plain, rng.spawn(1)[0], start=start, search=Search.CONTINUED)
+    bound = min(easier.cover.lower_bound, len(selection.cover.views))
     status = CoverStatus.PROVEN if bound == len(selection.cover.views) else CoverStatus.BOUNDED
     cover = replace(selection.cover, lower_bound=bound, status=status)
-    selection = replace(selection, cover=cover, sentence=cover.sentence, cost_bound=before.cost_bound)
-    return problem, selection, tuple(_causes(plan, predicted, times, association, demand))
+    return replace(selection, cover=cover, targets=targets, sentence=cover.sentence, cost_bound=before.cost_bound)
 
 
 def _causes(
@@ -109,9 +134,10 @@ def _causes(
                 "allow a larger u_over_t in [inspection]"
             )
         elif factor > 1:
-            surfaces = association.surfaces[each.characteristic.feature]
-            views = int(max(demand[element.triangles].max() for element in surfaces))
-            yield f"{name}: the requirement is not met with {views} views of each sample, or all that can measure it"
+            names = [feature.name for feature in plan.features_of(each.characteristic)]
+            views = max(int(demand[own.triangles].max()) for every in names for own in association.surfaces[every])
+            number = f"{views} views" if views > 1 else "1 view"
+            yield f"{name}: the requirement is not met with {number} of each sample, or all that can measure it"
 
 
 def _needed_times(
@@ -119,13 +145,18 @@ def _needed_times(
 ) -> float:  # fmt: skip
     """Return the factor of the number of points that a characteristic needs; 1 if it needs no more."""
     tolerance, uncertainty = predicted.characteristic.tolerance, predicted.expanded_uncertainty
-    own = [patch for each in plan.features_of(predicted.characteristic) for patch in features[each.name].patches]
-    if predicted.value is None or not all(patch.is_measured for patch in own):
+    if _lacks_points(plan, predicted, features):
         return MISSED
     if plan.u_over_t is None or not tolerance or uncertainty is None:
         return 1.0
     ratio = uncertainty / (plan.u_over_t * tolerance)
     return _MARGIN * ratio**2 if ratio > 1 else 1.0
+
+
+def _lacks_points(plan: InspectionPlan, predicted: Measurement, features: Mapping[str, MeasuredFeature]) -> bool:
+    """Return whether too little of the features of a characteristic is measured."""
+    own = [patch for each in plan.features_of(predicted.characteristic) for patch in features[each.name].patches]
+    return predicted.value is None or not all(patch.is_measured for patch in own)
 
 
 def _raise_demand(

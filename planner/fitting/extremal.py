@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 from scipy.optimize import linprog
 
-from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, SIZE, TILT_X, TILT_Y, Shape, ShapeKind, Z
+from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, SIZE, TILT_X, TILT_Y, Shape, ShapeKind, X, Y, Z
 from planner.values import Floats
 
 FULL_STEPS = 40
@@ -20,7 +20,7 @@ FULL_STEPS = 40
 
 _CRITICAL = 40  # points at either end with which a program starts
 _TRUST = 0.05  # largest first change, as a share of the points' extent
-_ONE_SIDE = 1e-6  # smallest component of all normals along a vector, beyond which they lie on one side
+_ROOM = 1e-6  # smallest growth of all distances per change, beyond which points leave room for it
 _DONE = 1e-9  # relative gain of a step that ends the search
 
 
@@ -54,16 +54,12 @@ def fit_extremal(criterion: Criterion, points: Floats, start: Shape, steps: int 
         start: shape near the solution.
         steps: linear programs at most.
     """
-    shape, flat = start, start.kind is ShapeKind.CIRCLE
-    if flat:  # its cylinder with a fixed axis
-        shape = Shape(ShapeKind.CYLINDER, start.point, start.axis, start.size)
+    shape, free = _with_changes(start)
     centre = points.mean(axis=0)
     extent = float(np.sqrt(np.mean(((points - centre) ** 2).sum(axis=1)))) or 1.0
     local = (points - centre) / extent
     point = (shape.point - centre) / extent
     shape = Shape(shape.kind, point, shape.axis, shape.size / extent, shape.half_angle).at_foot(np.zeros(3))
-    offset = Z if shape.kind is ShapeKind.PLANE else SIZE  # a change that moves all distances alike
-    free = [each for each in PARAMETERS[shape.kind] if each != offset and not (flat and each in (TILT_X, TILT_Y))]
     trust, value = _TRUST, _objective(criterion, shape.distances(local), shape.size)
     for _ in range(steps):
         candidate = shape.changed(_program(criterion, shape, local, free, trust)).at_foot(np.zeros(3))
@@ -79,7 +75,7 @@ def fit_extremal(criterion: Criterion, points: Floats, start: Shape, steps: int 
     distances = shape.distances(local)
     low, high = float(distances.min()), float(distances.max())
     ends = {Criterion.ZONE: (low + high) / 2, Criterion.CIRCUMSCRIBED: high, Criterion.INSCRIBED: low}
-    if offset == Z:
+    if shape.kind is ShapeKind.PLANE:
         point, size = shape.point + ends[criterion] * shape.axis, 0.0
     else:
         point, size = shape.point, shape.size + ends[criterion]
@@ -88,18 +84,30 @@ def fit_extremal(criterion: Criterion, points: Floats, start: Shape, steps: int 
 
 
 def surround(points: Floats, shape: Shape) -> bool:
-    """Return whether points (N, 3) lie around the axis or centre of a shape, not all on one side of it.
+    """Return whether points (N, 3) hold a circle, sphere or cylinder: no small shift or tilt leaves all of them.
 
-    If they do not, a larger inscribed shape always exists, and the circumscribed one is smaller than the shape.
+    Otherwise a larger inscribed shape always exists, and the circumscribed one is smaller than the shape. Points on one
+    side leave room for a shift. Points on one side of one end and on the other side of the other end leave room for a
+    tilt.
     """
-    normals = shape.normals(points)
-    if shape.kind is not ShapeKind.SPHERE:
-        normals = normals @ shape.frame[:, :2]
-    n = normals.shape[1]
-    A = np.hstack([-normals, np.ones((len(normals), 1))])  # each normal has at least the last variable along a vector
+    shape, free = _with_changes(shape)
+    centre = points.mean(axis=0)
+    along = np.abs((points - centre) @ shape.axis).max()
+    J = shape.at_foot(centre).jacobian(points)
+    J[:, [TILT_X, TILT_Y]] /= along if along > 0 else 1.0
+    n = len(free)
+    A = np.hstack([-J[:, free], np.ones((len(points), 1))])  # each distance grows by at least the last variable
     solved = linprog([0.0] * n + [-1.0], A, np.zeros(len(A)), bounds=[(-1, 1)] * n + [(0, 1)], method="highs").x
     assert solved is not None, "the origin is a solution"
-    return bool(solved[n] < _ONE_SIDE)
+    return bool(solved[n] < _ROOM)
+
+
+def _with_changes(shape: Shape) -> tuple[Shape, list[int]]:
+    """Return a shape, of a circle the cylinder with its axis, and the changes that move distances unequally."""
+    offset = Z if shape.kind is ShapeKind.PLANE else SIZE  # a change that moves all distances alike
+    if shape.kind is ShapeKind.CIRCLE:
+        return Shape(ShapeKind.CYLINDER, shape.point, shape.axis, shape.size), [X, Y]
+    return shape, [each for each in PARAMETERS[shape.kind] if each != offset]
 
 
 def _objective(criterion: Criterion, distances: Floats, size: float) -> float:

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from cell.part.workpiece import load
+from cell.runs.run import open_finished
 from planner.geometry.sampling import draw_samples
 from planner.registration.rigid import motion_from_vector, transform_points
 from tests.qif_files import bored_block_qif
 from tests.step_files import bored_block, needs_cascadio
+from tests.support.cover_oracle import fewest_views
 from tests.support.fixture_types import RunCommand
 
 
@@ -143,3 +145,55 @@ def test_a_displaced_part_is_aligned(
         else 2 * np.linalg.norm((transform_points(T, [[30.1, 20, 15]]) - [30, 20, 15])[:, :2])
     )
     assert values["free"] == pytest.approx(free, abs=0.03 if alignment != "none" else 0.15)
+
+
+_UNCERTAIN = """
+[part]
+path = "block.stp"
+[[feature]]
+name = "top"
+faces = [6]
+characteristic = [{kind = "form", name = "too narrow", tolerance_mm = 0.01}]
+[[feature]]
+name = "right"
+faces = [2]
+datum = "A"
+[[feature]]
+name = "left"
+faces = [1]
+characteristic = [{kind = "parallelism", datums = ["A"], tolerance_mm = 0.276}]
+[[feature]]
+name = "slot"
+faces = [1, 2]
+kind = "width"
+"""
+
+
+@needs_cascadio
+def test_views_are_added_until_u_is_within_its_limit(run_cell: RunCommand, tmp_path: Path) -> None:
+    """Two views measure the coverage, but not the datum. Once it is measured, 1.7 times as many points are needed.
+
+    The bound is that of the coverage alone: that of the integer programme over the run folder's matrix.
+    """
+    (tmp_path / "block.stp").write_text(bored_block())
+    (tmp_path / "block.toml").write_text(_UNCERTAIN)
+    words = ("--place", "1100,400,100", "--faces", "60", "--samples", "2", "--seed", "3", "--candidates", "grown")
+    words += ("--effort", "0", "--coverage", "0.6", "--out", "run")
+    message = run_cell("plan", "--scene", "block.toml", *words, cwd=tmp_path, code=0).stderr
+    (sentence,) = (line for line in message.splitlines() if "times as many points" in line)
+    assert "too narrow: about" in sentence
+    assert "left: parallelism" not in message
+    found = json.loads((tmp_path / "run" / "uncertainty.json").read_text())["characteristics"]
+    u = {each["name"]: each["expanded_uncertainty"] for each in found}
+    assert u["left: parallelism"] <= 0.0276
+    assert u["too narrow"] > 0.001
+    run, plan = open_finished(tmp_path / "run"), json.loads((tmp_path / "run" / "plan.json").read_text())
+    M, areas = run.measurability.matrix().tocsc(), run.measurability.samples.areas
+    fewest = fewest_views(M[:, run.reach.reachable], areas, plan["coverage"]["target_on_samples"] - 1e-9)
+    assert len(plan["views"]) > fewest
+    assert 1 <= plan["lower_bound"] <= fewest
+    features = json.loads((tmp_path / "run" / "features.json").read_text())["features"]
+    (patch,) = next(each for each in features if each["name"] == "right")["patches"]
+    own = np.isin(run.measurability.samples.face, patch["triangles"])
+    by_two = M[:, [view["id"] for view in plan["views"]]].sum(axis=1) >= 2
+    assert areas[own & by_two].sum() >= 0.6 * areas[own].sum()

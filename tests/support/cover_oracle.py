@@ -10,12 +10,34 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from hypothesis import strategies as st
+from scipy.optimize import LinearConstraint, milp
 
 from planner.cover import Cover, CoverProblem, CoverStatus, Overlap
 from planner.values import Bools, Floats, Ints
 
 TOLERANCE = 1e-9
 COST_TOLERANCE = 1e-4  # costs that are not integers are rounded
+
+
+def fewest_views(M: Any, areas: Floats, share: float, *, relaxed: bool = False) -> float:
+    """Return the smallest number of columns that measure a share of the coverable area, by an integer programme.
+
+    Args:
+        M: (S, V) measurability of the usable columns.
+        areas: (S,) of the rows.
+        share: of the area of the rows with a column.
+        relaxed: columns may be selected in part.
+    """
+    dense, of_row = np.unique(M.toarray().astype(bool), axis=0, return_inverse=True)
+    areas = np.bincount(of_row.ravel(), weights=areas)
+    dense, areas = dense[dense.any(axis=1)], areas[dense.any(axis=1)] / areas[dense.any(axis=1)].sum()
+    rows, columns = dense.shape
+    objective = np.repeat([1.0, 0.0], [columns, rows])
+    is_measured = sp.hstack([sp.csr_array(dense.astype(float)), -sp.eye_array(rows)])
+    limits = [LinearConstraint(is_measured, 0.0, np.inf), LinearConstraint(np.append(np.zeros(columns), areas), share)]
+    found = milp(objective, constraints=limits, integrality=(not relaxed) * objective, bounds=(0, 1))
+    assert found.status == 0, found.message
+    return float(found.fun) if relaxed else round(found.fun)
 
 
 class Selections:

@@ -1,5 +1,6 @@
 """Features, characteristics, alignment, values, uncertainty and verdicts, on a block of 60 x 40 x 30 with a bore."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from cell.inspect.results import as_csv
 from cell.metrology.inspect import located, points_of_setups
 from cell.metrology.options import InspectOptions
 from cell.part.workpiece import Workpiece, from_trusted_mesh, load
-from cell.plan.uncertainty import _raise_demand
+from cell.plan.uncertainty import _causes, _feature_sets, _raise_demand
 from cell.scanners.laser_area import LaserArea
 from cell.scene.features import FeatureTable
 from cell.world.embree import EmbreeRayCaster
@@ -191,6 +192,40 @@ class TestQif:
         )
         assert unsupported == []
         assert next(each.upper for each in plan.characteristics if each.name == "Diameter 42") == pytest.approx(16.2)
+
+    @pytest.mark.parametrize(("name", "base", "factor"), [
+        ("millimeter", "meter", 1e-3), ("micrometre", "meter", 1e-6), ("inch", "meter", 0.0254),
+        ("meter", "meter", 1.0), ("foot", "foot", 1.0), ("ft", "meter", None), ("deg", "meter", None),
+    ])  # fmt: skip
+    def test_a_unit_without_conversion_is_known_or_refused(
+        self, block: Workpiece, tmp_path: Path, name: str, base: str, factor: float | None
+    ) -> None:
+        """The flatness of 300 in a unit that the file names without a factor."""
+        text = bored_block_qif().replace("<UnitConversion><Factor>0.000001</Factor></UnitConversion>", "")
+        text = text.replace(
+            "<SIUnitName>meter</SIUnitName><UnitName>um<", f"<SIUnitName>{base}</SIUnitName><UnitName>{name}<"
+        )
+        text = text.replace('linearUnit="um"', f'linearUnit="{name}"')
+        if factor is None:
+            with pytest.raises(FileError, match=f"its unit '{name}' has no conversion"):
+                self.read(block, tmp_path, text)
+            return
+        plan, _ = self.read(block, tmp_path, text)
+        flatness = next(each.upper for each in plan.characteristics if each.name == "Flatness 41")
+        assert flatness == pytest.approx(300e3 * factor)
+
+    def test_degrees_without_conversion_are_not_radians(self, block: Workpiece, tmp_path: Path) -> None:
+        definition = (
+            '---<AngleBetweenCharacteristicDefinition id="34"><Tolerance><MaxValue>0.5</MaxValue><MinValue>-0.5'
+            "</MinValue><DefinedAsLimit>false</DefinedAsLimit></Tolerance></AngleBetweenCharacteristicDefinition>"
+        )
+        nominal = characteristic("AngleBetween", 53, 34, 1100, "<TargetValue>90</TargetValue>")
+        text = bored_block_qif(extra=nominal.replace("<Id>1100</Id>", "<Id>1100</Id><Id>1200</Id>") + definition)
+        text = text.replace("<UnitConversion><Factor>0.017453292519943</Factor></UnitConversion>", "")
+        plan, unsupported = self.read(block, tmp_path, text.replace("<UnitName>degree<", "<UnitName>deg<"))
+        assert unsupported == []
+        angle = next(each for each in plan.characteristics if each.name == "AngleBetween 53")
+        assert (angle.nominal, angle.upper) == pytest.approx((90, 90.5))
 
     def test_what_is_not_supported_is_named(self, block: Workpiece, tmp_path: Path) -> None:
         extra = characteristic("LineProfile", 51, 31, 1300) + characteristic("Flatness", 52, 31, 1999)
@@ -498,6 +533,29 @@ class TestDegenerateFeatures:
         else:
             assert found.value is None
 
+    @pytest.mark.parametrize("criterion", ["inscribed", "circumscribed"])
+    @pytest.mark.parametrize(("kind", "gap"), [("cylinder", 0.1), ("cylinder", 0.02), ("circle", 0.1)])
+    def test_an_extremal_cylinder_may_not_tilt_between_its_points(
+        self, block: Workpiece, criterion: str, kind: str, gap: float
+    ) -> None:
+        """Points on one side of the upper part and on the other side of the lower part hold a circle only.
+
+        A cylinder tilts between them, and the inscribed one becomes as large as the tilt may be.
+        """
+        size = {"kind": "size", "criterion": criterion, **LIMITS}
+        plan = plan_of(block, [{"name": "bore", "faces": (7,), "kind": kind, "characteristic": [size]}])
+        points = points_on(block, 60_000, 1e-5)
+        off, height = points[:, :2] - [0.03, 0.02], points[:, 2] / 0.03 - 0.5
+        on_bore = (np.linalg.norm(off, axis=1) < 0.0081) & (np.abs(height) > gap)
+        arc = np.abs(np.degrees(np.arctan2(off[:, 1], np.sign(height) * off[:, 0]))) < 80
+        found = inspected(block, points[on_bore & arc], plan, sigma=1e-5).result.characteristics[0]
+        assert ("needs them all around" in found.cause) == (kind == "cylinder")
+        if kind == "cylinder":
+            assert found.value is None
+            assert found.verdict == "not measured"
+        else:
+            assert found.value is not None
+
     def test_a_datum_plane_of_nearly_collinear_points(self, block: Workpiece) -> None:
         """Only what depends on the tilt of the datum about the line of its points is in doubt."""
         points = points_on(block, 60_000, 1e-5)
@@ -711,8 +769,10 @@ class TestPrediction:
             found.append(T)
         return np.array(found)
 
-    def predict(self, block: Workpiece, views: Floats, pose: float = 0.0) -> dict[str, tuple[float | None, str]]:
-        plan = plan_of(block)
+    def predict(
+        self, block: Workpiece, views: Floats, pose: float = 0.0, **settings: object
+    ) -> dict[str, tuple[float | None, str]]:
+        plan = plan_of(block, **settings)
         association = Association(block.reference, plan)
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
         scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
@@ -729,6 +789,15 @@ class TestPrediction:
         assert worse is not None
         assert worse > 5 * size
         assert worse == pytest.approx(2e-2 * 2 * np.sqrt(2), rel=0.15)  # two faces, each by about one view
+
+    def test_the_main_source_of_the_variance_is_named(self, block: Workpiece) -> None:
+        """Pose errors of 20 um move planes by much more than the noise of thousands of points."""
+        views = self.views()
+        exact, moved_poses = (self.predict(block, views, pose, u_over_t=1e-9) for pose in (0.0, 2e-5))
+        for name in ("right: distance", "slot: size"):
+            assert "pose errors" not in exact[name][1]
+            assert moved_poses[name][1].endswith("of the variance is from pose errors")
+        assert "pose errors" not in moved_poses["top: form"][1]  # each view measures all of it
 
     def test_predicted_uncertainty_is_that_of_repeated_scans(self) -> None:
         """Quantiles of 60 scans with noise and pose errors are known to about 12 %."""
@@ -766,13 +835,14 @@ class TestPrediction:
             return Evaluation(plan, found, association.nearest, np.zeros((1, 2)))
 
         every = [each.name for each in features]
-        shares = evaluated(every).contributions(c)
+        shares = evaluated(every).measure(c).contributions
         variances = {each: (evaluated([each]).measure(c).expanded_uncertainty or 0.0) ** 2 for each in every}
         largest = max(variances, key=variances.__getitem__)
         assert max(shares, key=shares.__getitem__) == largest
         if name == "right: distance":  # others are quantiles of a largest deviation
             assert shares == pytest.approx({each: one / sum(variances.values()) for each, one in variances.items()})
         assert main_source(plan, c, shares).endswith(words)
+        assert "of the variance from points is from" in main_source(plan, c, shares)
 
     def test_views_are_demanded_for_what_makes_a_value_uncertain(self, block: Workpiece) -> None:
         """A datum of which too little is measured, then the datum that has most of the variance."""
@@ -795,6 +865,33 @@ class TestPrediction:
         shares = {"right": 0.05, "top": 0.85, "front": 0.05, "left": 0.05}
         assert raised(views, "right: profile", shares) == {"top"}
         assert raised(views[[0, 1, 3, 4, 5]], "right: profile", shares) == {"left"}
+
+    def test_triangles_of_the_same_features_have_one_number(self, block: Workpiece) -> None:
+        """A width shares its faces with two planes; the halves of its surface are separate."""
+        association = Association(block.reference, plan_of(block))
+        number = _feature_sets(association)
+        names = [
+            {name for name, surfaces in association.surfaces.items() if any(k in own.triangles for own in surfaces)}
+            for k in range(len(number))
+        ]
+        assert {"left", "slot"} in names
+        for one, other in itertools.combinations(range(len(number)), 2):
+            assert (number[one] == number[other]) == (names[one] == names[other])
+
+    def test_a_requirement_that_is_not_met_is_noted_with_the_views(self, block: Workpiece) -> None:
+        """Three views are demanded of a datum, and one of the others; then one of all."""
+        plan, association = plan_of(block), Association(block.reference, plan_of(block))
+        c = next(each for each in plan.characteristics if each.name == "right: profile")
+        predicted = [Measurement(c, 1.0, 1.0, Verdict.UNDECIDED, "", contributions={"top": 0.9, "right": 0.1})]
+        demand = np.ones(len(block.reference.faces), dtype=np.int64)
+        begin = "right: profile: the requirement is not met with"
+        assert next(_causes(plan, predicted, [1.5], association, demand)).startswith(f"{begin} 1 view of each sample")
+        demand[association.surfaces["top"][0].triangles] = 3
+        assert next(_causes(plan, predicted, [1.5], association, demand)).startswith(f"{begin} 3 views of each sample")
+        demand[association.surfaces["bottom"][0].triangles] = 5  # no feature of the characteristic
+        assert next(_causes(plan, predicted, [1.5], association, demand)).startswith(f"{begin} 3 views of each sample")
+        assert list(_causes(plan, predicted, [1.0], association, demand)) == []
+        assert "mostly A (top)" in next(_causes(plan, predicted, [5.2], association, demand))
 
     def test_a_feature_that_no_view_measures_is_named(self, block: Workpiece) -> None:
         _, cause = self.predict(block, self.views()[:5])["bottom: parallelism"]
