@@ -76,8 +76,9 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         seconds = [np.median([row["processor s"] for row in some]) for some in each]
         axes.plot(seconds, [np.median([row["views"] for row in some]) for some in each], "o-", label=part)
     axes.set(xscale="log", yscale="log", xlabel="processor time of the plan [s]", ylabel="views")
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("{x:g}")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
     axes.legend(fontsize=8, ncols=2)
     figure.tight_layout()
     figure.savefig(folder / "pose_search.png", dpi=120)

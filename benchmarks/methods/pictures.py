@@ -111,6 +111,7 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ("fill_speed_accuracy.png",): _benchmark("fill"),
     ("mug_resolution.png",): _benchmark("mug"),
     ("ordering_budget.png",): _benchmark("gtsp"),
+    ("pose_search.png",): _benchmark("pose_search"),
     ("plant_stability.png",): _benchmark("plant"),
     ("reconstruction.png",): _benchmark("reconstruction"),
     ("sigma_model.png",): _benchmark("sigma"),
