@@ -208,13 +208,11 @@ class Request:
     def demand_groups(self) -> Ints:
         """(F,) group of each triangle, from 1 for those that demand several views; others have 0."""
         assert self.demand is not None, "triangles demand several views"
-        more = self.demand > 1
-        found = np.zeros(len(more), dtype=np.int64)
-        if more.any():
-            found[more] = (
-                1 + np.unique((more if self.demand_of is None else self.demand_of)[more], return_inverse=True)[1]
-            )
-        return found
+        has_demand = self.demand > 1
+        feature_set = has_demand if self.demand_of is None else self.demand_of
+        group = np.zeros(len(has_demand), dtype=np.int64)
+        group[has_demand] = 1 + np.unique(feature_set[has_demand], return_inverse=True)[1]
+        return group
 
     @property
     def _is_single_cover(self) -> bool:

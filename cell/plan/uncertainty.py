@@ -140,9 +140,7 @@ def _causes(
             yield f"{name}: the requirement is not met with {number} of each sample, or all that can measure it"
 
 
-def _needed_times(
-    plan: InspectionPlan, predicted: Measurement, features: Mapping[str, MeasuredFeature]
-) -> float:  # fmt: skip
+def _needed_times(plan: InspectionPlan, predicted: Measurement, features: Mapping[str, MeasuredFeature]) -> float:
     """Return the factor of the number of points that a characteristic needs; 1 if it needs no more."""
     tolerance, uncertainty = predicted.characteristic.tolerance, predicted.expanded_uncertainty
     if _lacks_points(plan, predicted, features):
