@@ -20,7 +20,7 @@ Arguments of several functions:
 - `options`: options as one value, with their names in `cell.*.options`. None takes them from the keywords.
 - `scene`: scene file (TOML). None takes the built-in scene.
 - `out`: folder or file to create. None creates a folder below sim_runs/.
-- `use_cache`: whether to read and write measurability matrices in the user's cache.
+- `use_cache`: whether to read and write planning meshes and measurability matrices in the user's cache.
 - `progress`: callback or reporter of the progress. None reports nothing.
 - `argv`: command line to record in the manifest.
 - `ask`: callback that asks a person to confirm the motion of a real robot. None if nobody is present: then a real robot

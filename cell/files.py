@@ -48,6 +48,17 @@ def cache_folder(kind: str) -> Path:
     return base / "scan-cell" / kind
 
 
+def delete_oldest(folder: Path, limit: int) -> None:
+    """Delete the oldest `.npz` files of a folder until it has at most `limit` bytes; the newest file stays."""
+    entries = sorted(((entry.stat(), entry) for entry in folder.glob("*.npz")), key=lambda pair: pair[0].st_mtime)
+    size = sum(stat.st_size for stat, _ in entries)
+    for stat, entry in entries[:-1]:
+        if size <= limit:
+            return
+        entry.unlink(missing_ok=True)  # another run may have deleted it
+        size -= stat.st_size
+
+
 def unused_path(path: Path) -> Path:
     """Return a path, or the first of path-2, path-3, ... at which nothing exists."""
     number = 1

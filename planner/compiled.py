@@ -32,7 +32,8 @@ def compiled(kernel: Kernel) -> Kernel:
     """Return a module-level function that is compiled by numba at its first call.
 
     The code is cached next to the module, or in the user's cache folder where that is not writable; `NUMBA_CACHE_DIR`
-    names another folder. The wrapper for callers in C is omitted, which saves a twelfth of the compile time.
+    names another folder. The wrapper for callers in C is omitted, which saves a twelfth of the compile time. Kernels
+    release Python's global lock.
     """
     _waiting.setdefault(kernel.__module__, []).append(kernel)
 
@@ -59,7 +60,7 @@ def _replace_by_dispatchers(module: str) -> None:
 
         _announce_compilation()
         for kernel in kernels:
-            kernel.__globals__[kernel.__name__] = numba.njit(cache=True, no_cfunc_wrapper=True)(kernel)
+            kernel.__globals__[kernel.__name__] = numba.njit(cache=True, no_cfunc_wrapper=True, nogil=True)(kernel)
         del _waiting[module]
 
 

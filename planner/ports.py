@@ -11,7 +11,7 @@ from typing import Annotated, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.values import Bools, DescribedEnum, Floats, Ints32, Value
+from planner.values import Bools, DescribedEnum, Floats, Ints, Ints32, Value
 
 ARM_AXES = 6
 """Number of axes of the arm; further entries of a joint vector are external axes."""
@@ -82,11 +82,12 @@ class RayCaster(Protocol):
 class DirectionCaster(RayCaster, Protocol):
     """A ray caster that also casts along directions, faster than `blocked` and in float32."""
 
-    def blocked_along(self, origins: Floats, directions: NDArray[np.float32], length: float) -> Bools:
-        """Return (N,) whether any triangle lies within a length [m] of an origin along a unit direction.
+    def blocked_along(self, points: Floats, origin: Ints, directions: NDArray[np.float32], length: float) -> Bools:
+        """Return (N,) whether any triangle lies within a length [m] of a point along a unit direction.
 
         Args:
-            origins: (N, 3) [m], points on a surface or slightly above it; their own surface does not block.
+            points: (S, 3) [m], on a surface or slightly above it; their own surface does not block.
+            origin: (N,) point from which each ray begins.
             directions: (N, 3) unit vectors.
             length: of the rays [m].
         """

@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 
 from cell import scanners
 from cell.part import workpiece
+from cell.part.planning_mesh import planning_mesh
 from cell.plan.candidates import generate_viewpoints, limited_scanner, make_surface
 from cell.scene.model import Scene
 from cell.scene.regions import with_regions
@@ -30,7 +31,6 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.measurability import PartSurface, part_matrix, surface_samples
 from cell.world.model import World, compile_settled
 from cell.world.occluders import fixed_occluders, make_caster
-from planner.geometry.decimation import decimate
 from planner.kinematics import reach
 from planner.kinematics.reach import Verdict
 from planner.measurability.matrix import Measurability, pick_measurability
@@ -94,7 +94,7 @@ class PartData:
         """Load the part, generate candidates and fill the matrix, or read it from the cache."""
         settled = settle(scene, with_regions(workpiece.load(scene.part.source, scene.part.units), scene))
         reference, settings = settled.part.reference, settled.settings
-        planning = decimate(reference, settings.faces)
+        planning = planning_mesh(reference, settings.faces)
         rng = random_stream(scene.plan.seed, Stream.MATRIX_SAMPLES)
         surface = make_surface(reference, planning, surface_samples(settled.scene, reference, planning, rng))
         viewpoints = generate_viewpoints(settled.scene, settings, settled.part, planning)

@@ -18,6 +18,7 @@ from cell import scanners
 from cell.errors import FileError, UnreachableError, UsageError
 from cell.inspect.artefacts import FEATURES
 from cell.part import workpiece
+from cell.part.planning_mesh import planning_mesh
 from cell.part.workpiece import Workpiece
 from cell.plan import evaluation, files, selection
 from cell.plan.candidates import (
@@ -64,7 +65,6 @@ from cell.world.clearance import MotionClearance
 from cell.world.measurability import PartSurface, surface_samples
 from cell.world.model import compile_settled
 from planner import first_use
-from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.ports import Progress
@@ -223,7 +223,7 @@ def sample_part(session: PlanSession, settled: SettledScene) -> tuple[PartSurfac
     """Decimate the part, draw the rows of the matrix, and generate viewpoints."""
     with session.stage("decimate and sample"):
         reference, faces = settled.part.reference, settled.settings.faces
-        planning = decimate(reference, faces)
+        planning = planning_mesh(reference, faces, use_cache=session.use_cache)
         files.write_meshes(session.folder, reference, planning)
         for sentence in write_features(session.folder, settled):
             session.note(sentence)

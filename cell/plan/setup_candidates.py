@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from cell.errors import SceneError, UsageError
+from cell.part.planning_mesh import planning_mesh
 from cell.plan.candidates import (
     Cell,
     MeasuredSet,
@@ -40,7 +41,6 @@ from cell.world.model import ON_AXIS, World, compile_settled
 from cell.world.occluders import Occluder, fixed_occluders
 from cell.world.prediction import Prediction, held_out_samples
 from cell.world.support_contact import in_contact
-from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.kinematics.frames import kuka_abc_from_pose
@@ -386,7 +386,7 @@ def try_candidates(
     if limit is None:
         limit = 0 if settled.scene.setup else _N_PROPOSED
     with session.stage("decimate and sample"):
-        planning = decimate(reference, settled.settings.faces)
+        planning = planning_mesh(reference, settled.settings.faces, use_cache=session.use_cache)
         viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
         rows = surface_samples(settled.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         surface = make_surface(reference, planning, rows)

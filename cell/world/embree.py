@@ -14,9 +14,6 @@ of 800,000). Points of a scan and samples of a surface lie on vertices with prob
 embreex's bindings check no bounds and read foreign memory for a wrong shape or index: everything is validated here.
 """
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -25,7 +22,8 @@ from numpy.typing import NDArray
 from cell.errors import CellError
 from planner.geometry.mesh import face_cross_products
 from planner.ports import Hits
-from planner.values import Floats
+from planner.threads import run_in_threads
+from planner.values import Floats, Ints
 
 HAIR = 2e-6
 """Length by which a ray ends before its target, as a share of its scale (length plus half diagonal of the triangles).
@@ -35,7 +33,7 @@ surface in 65 % of cases with 0, in 0.3 % with 2.5e-7 and in none of 10^7 with 1
 At a larger grazing angle the target also has to be lifted off its surface, see `planner.viewpoints.lines_of_sight`.
 """
 
-_SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing, against 0.1 ms to start a thread
+_SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing
 _MAX_CORRECTION = 1e-4  # of a ray's scale; Embree's distance is off by 1e-7 / cos(grazing angle): up to 89.9 degrees
 _OCCLUDED = 0  # result of embreex's OCCLUDED query for a blocked ray; -1 is a free one
 
@@ -44,8 +42,7 @@ class EmbreeRayCaster:
     """Ray caster on one fixed set of triangles, by Embree 4 in its robust mode.
 
     More than 20,000 rays are split into one part per core (embreex releases the GIL). Each ray is traced on its own, so
-    the result does not depend on the number of cores. Threads live for one call, so that a forked process may use a
-    caster of its parent.
+    the result does not depend on the number of cores.
 
     Args:
         vertices: (V, 3) [m], any frame; rays are in the same frame.
@@ -83,9 +80,6 @@ class EmbreeRayCaster:
         self._normals: Floats = face_cross_products(centred, indices)
         self._offsets: Floats = np.einsum("ij,ij->i", self._normals, corner)
         self._scene = _build(centred.astype(np.float32), indices.astype(np.int32))
-        self._workers = max(
-            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 1
-        )
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
         """Find the first intersection of each ray, on either side of a triangle; see `RayCaster.first_hit`.
@@ -105,7 +99,7 @@ class EmbreeRayCaster:
             face[part] = hits["primID"]
             distance[part] = self._refined(origins[part], directions[part], hits["primID"], hits["tfar"])
 
-        self._split(trace, len(origins))
+        run_in_threads(trace, len(origins), _SPLIT_ABOVE)
         return Hits(face, distance)
 
     def blocked(self, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
@@ -129,25 +123,28 @@ class EmbreeRayCaster:
             end = np.maximum(reach, 0.0).astype(np.float32)
             result[part] = (self._scene.run(start, direction, dists=end, query="OCCLUDED") == _OCCLUDED) & (reach > 0)
 
-        self._split(trace, len(origins))
+        run_in_threads(trace, len(origins), _SPLIT_ABOVE)
         return result
 
-    def blocked_along(self, origins: Floats, directions: NDArray[np.float32], length: float) -> NDArray[np.bool_]:
+    def blocked_along(
+        self, points: Floats, origin: Ints, directions: NDArray[np.float32], length: float
+    ) -> NDArray[np.bool_]:
         """Return whether any triangle is near along a direction; see `DirectionCaster.blocked_along`.
 
         Rays begin `HAIR` x (length + the half diagonal of the triangles) after the origin.
         """
-        result = np.empty(len(origins), dtype=np.bool_)
+        result = np.empty(len(origin), dtype=np.bool_)
         gap = np.float32(HAIR * (length + self._half_diagonal))
+        starts = self._to_float32(points)
 
         def trace(part: slice) -> None:
             along = np.ascontiguousarray(directions[part], dtype=np.float32)
-            start = self._to_float32(origins[part])
-            start += gap * along
+            start = gap * along
+            start += np.take(starts, origin[part], axis=0)
             end = np.full(len(start), length, dtype=np.float32)
             result[part] = self._scene.run(start, along, dists=end, query="OCCLUDED") == _OCCLUDED
 
-        self._split(trace, len(origins))
+        run_in_threads(trace, len(origin), _SPLIT_ABOVE)
         return result
 
     def _refined(
@@ -173,18 +170,6 @@ class EmbreeRayCaster:
 
     def _to_float32(self, points: Floats) -> NDArray[np.float32]:
         return _float32("origins", points - self._middle)
-
-    def _split(self, trace: Callable[[slice], None], count: int) -> None:
-        """Trace all rays in this thread, or in one thread per core."""
-        parts = self._workers if count > _SPLIT_ABOVE else 1
-        slices = [slice(count * part // parts, count * (part + 1) // parts) for part in range(parts)]
-        if parts > 1:
-            with ThreadPoolExecutor(parts - 1) as pool:
-                tasks = pool.map(trace, slices[1:])
-                trace(slices[0])
-                list(tasks)
-        elif count:
-            trace(slices[0])
 
 
 def _build(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:

@@ -303,21 +303,10 @@ def _pick_columns(M: Measurability, columns: NDArray[np.int64]) -> Measurability
 def _store(path: Path, M: Measurability, key: str, columns: Hashes, reporter: ProgressReporter | None) -> None:
     try:
         save(path, M, key, columns)
-        delete_oldest(path.parent, CACHE_LIMIT_BYTES)
+        files.delete_oldest(path.parent, CACHE_LIMIT_BYTES)
     except FileError as error:
         if reporter is not None:
             reporter.note(f"the matrix is not cached for the next run: {error}")
-
-
-def delete_oldest(folder: Path, limit: int) -> None:
-    """Delete the oldest `.npz` files of a folder until it has at most `limit` bytes; the newest file stays."""
-    files = sorted(((entry.stat(), entry) for entry in folder.glob("*.npz")), key=lambda pair: pair[0].st_mtime)
-    size = sum(stat.st_size for stat, _ in files)
-    for stat, entry in files[:-1]:
-        if size <= limit:
-            return
-        entry.unlink(missing_ok=True)  # another run may have deleted it
-        size -= stat.st_size
 
 
 def limit_sigma(

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from planner.compiled import compiled
 from planner.interrupts import raise_interrupt
 from planner.ports import AreaLimits, DirectionCaster, RayCaster, Scanner
+from planner.threads import run_in_threads
 from planner.values import Bools, Floats, Ints, Ints32, Value
 from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
 
@@ -38,8 +39,8 @@ N_RANGES = 4
 
 _COARSEST = 4  # nodes between two nodes of the first level; a power of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
-_PACKED = 64  # samples whose nodes are packed together: arrays that stay in the cache
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
+_IN_ONE_THREAD = 20_000  # pairs of a pose and a sample; a few tenths of a millisecond
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
 _UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
 _FREE, _EDGE = 1, 2  # bits of a node
@@ -101,7 +102,7 @@ class DirectionTable(Value):
         tangent, bitangent = _tangents(normals, 2 * np.pi * (_GOLDEN * np.arange(len(targets)) % 1.0))
         frames = np.concatenate([points, normals, tangent, bitangent], axis=1).astype(np.float32)
         lifted = np.ascontiguousarray(targets.lifted)
-        nodes = _pack(_cast(lifted, frames, (part,), far)[:, None])[:, 0]
+        nodes = pack_nodes(_cast(lifted, frames, (part,), far)[:, None])[:, 0]
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
         free = _cast(lifted, frames, occluders, float(lengths[-1]))
         partly_free = np.flatnonzero((free == 0).any(axis=(1, 2)))
@@ -114,7 +115,7 @@ class DirectionTable(Value):
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
         return cls(
-            targets, frames, nodes, (part, *occluders), row_of, _pack(np.stack(by_range[::-1], axis=1)), ranges,
+            targets, frames, nodes, (part, *occluders), row_of, pack_nodes(np.stack(by_range[::-1], axis=1)), ranges,
             scanner, compiled_limits,
         )  # fmt: skip
 
@@ -153,11 +154,16 @@ class DirectionTable(Value):
                 row_block = rows[starts[k] : starts[k + 1]]
                 sums[k] = self.measured(T, row_block) @ weights[row_block]
             return sums
-        poses = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1)
-        sum_weights(
-            self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, starts, weights[rows], poses,
-            self.limits, thresholds, sums,
-        )  # fmt: skip
+        poses, limits = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1), self.limits
+        row_weights = weights[rows]
+
+        def add(part: slice) -> None:
+            sum_weights(
+                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows,
+                starts[part.start : part.stop + 1], row_weights, poses[part], limits, thresholds[part], sums[part],
+            )  # fmt: skip
+
+        run_in_threads(add, n, _IN_ONE_THREAD * n // max(1, len(rows) * P))
         return sums
 
     def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
@@ -167,10 +173,16 @@ class DirectionTable(Value):
         """
         rows = np.arange(len(self)) if rows is None else rows
         poses, result = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
-        if self.limits is not None:
-            mark_rows(
-                self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses, self.limits, result
-            )  # fmt: skip
+        if (limits := self.limits) is not None:
+
+            def mark(part: slice) -> None:
+                mark_rows(
+                    self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses[part], limits,
+                    result[part],
+                )  # fmt: skip
+                self._decide_edges(T_object_scanner[part], rows, result[part])
+
+            run_in_threads(mark, len(poses), _IN_ONE_THREAD // max(1, len(rows)))
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
             for first in range(0, len(poses), together):
@@ -178,7 +190,7 @@ class DirectionTable(Value):
                 result[block] = in_view_matrix(self.targets, T_object_scanner[block], self.scanner, rows)
             result *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
             result[:, ~self.nodes[rows].any(axis=1)] = 0
-        self._decide_edges(T_object_scanner, rows, result)
+            self._decide_edges(T_object_scanner, rows, result)
         return np.asarray(result > 0)
 
     def _decide_edges(self, T_object_scanner: Floats, rows: Ints, result: Bytes) -> None:
@@ -231,37 +243,6 @@ def _node_directions() -> Floats32:
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=np.float32)
 
 
-def _pack(free: Bytes) -> Bytes:
-    """Return the packed nodes (M, R, B) of free ones (M, R, N, N); edges have a neighbour that differs from them."""
-    M, R = free.shape[:2]
-    packed = np.empty((M, R, (N_NODES * N_NODES + 3) // 4), dtype=np.uint8)
-    states = np.zeros((_PACKED, R, 4 * packed.shape[2]), dtype=np.uint8)
-    for first in range(0, M, _PACKED):
-        block = free[first : first + _PACKED]
-        n = len(block)
-        states[:n, :, : N_NODES * N_NODES] = (_FREE * block + _EDGE * _edges(block)).reshape(n, R, N_NODES * N_NODES)
-        quarters = [states[:n, :, k::4] << 2 * k for k in range(4)]
-        packed[first : first + n] = quarters[0] | quarters[1] | quarters[2] | quarters[3]
-    return packed
-
-
-def _edges(free: Bytes) -> Bools:
-    """Return which nodes of (M, R, N, N) have a neighbour, in direction or range, that differs from them."""
-    is_edge = np.zeros(free.shape, dtype=np.bool_)
-    every, ahead, behind = slice(None), slice(1, None), slice(None, -1)
-    for one, two in (
-        ((every, ahead, every, every), (every, behind, every, every)),
-        ((every, every, ahead, every), (every, every, behind, every)),
-        ((every, every, every, ahead), (every, every, every, behind)),
-        ((every, every, ahead, ahead), (every, every, behind, behind)),
-        ((every, every, ahead, behind), (every, every, behind, ahead)),
-    ):
-        differs = free[one] != free[two]
-        is_edge[one] |= differs
-        is_edge[two] |= differs
-    return is_edge
-
-
 def _cast(
     lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, known: Bytes | None = None
 ) -> Bytes:
@@ -274,59 +255,128 @@ def _cast(
         length: of the rays [m].
         known: (s, N, N) nodes that are free at a greater length.
     """
-    directions_of_nodes = _node_directions()
+    nodes = _node_directions()
     free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
     free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
+    known = free[:0] if known is None else known
     for first in range(0, len(lifted), _TOGETHER):
         raise_interrupt()
         block = slice(first, first + _TOGETHER)
-        origins, local, part = lifted[block], frames[block], free[block]
         step = _COARSEST
         while True:
-            if known is not None:
-                part[(part == _TO_CAST) & (known[block] == 1)] = 1
-            is_cast = part[:, ::step, ::step] == _TO_CAST
-            sample, i, j = np.unravel_index(np.flatnonzero(is_cast), is_cast.shape)
-            node = step * (i * N_NODES + j)
-            directions = turn_nodes(directions_of_nodes, local, sample, node)
+            sample, node, directions = list_casts(free[block], known[block], step, nodes, frames[block])
             is_free = np.ones(len(sample), dtype=np.bool_)
             for caster in casters:
-                alive = np.flatnonzero(is_free)
-                is_free[alive] = ~caster.blocked_along(origins[sample[alive]], directions[alive], length)
-            part.reshape(len(origins), -1)[sample, node] = is_free
+                alive = slice(None) if is_free.all() else np.flatnonzero(is_free)
+                is_free[alive] = ~caster.blocked_along(lifted[block], sample[alive], directions[alive], length)
+            set_nodes(free[block], sample, node, is_free)
             if step == 1:
                 break
             step //= 2
-            _subdivide(part, step)
-            if 1 < step == _COARSEST // 2:  # thin occluders are between the nodes of the first level
-                is_occluded = (part[:, ::_COARSEST, ::_COARSEST] == 0).any(axis=(1, 2))
-                level = part[:, ::step, ::step]
-                is_new = np.ones(level.shape[1:], dtype=np.bool_)
-                is_new[::2, ::2] = False
-                level[is_occluded[:, None, None] & is_new] = _TO_CAST
+            subdivide(free[block], step, 1 < step == _COARSEST // 2)
     return free
 
 
-def _subdivide(free: Bytes, step: int) -> None:
-    """Set the nodes of the next finer level: the value of their coarser neighbours, or `_TO_CAST` if these differ."""
-    coarse = free[:, :: 2 * step, :: 2 * step]
-    a, b, c, d = coarse[:, :-1, :-1], coarse[:, 1:, :-1], coarse[:, :-1, 1:], coarse[:, 1:, 1:]
-    to_cast = np.uint8(_TO_CAST)
-    free[:, step :: 2 * step, :: 2 * step] = np.where(coarse[:, :-1] == coarse[:, 1:], coarse[:, :-1], to_cast)
-    free[:, :: 2 * step, step :: 2 * step] = np.where(coarse[:, :, :-1] == coarse[:, :, 1:], coarse[:, :, :-1], to_cast)
-    free[:, step :: 2 * step, step :: 2 * step] = np.where((a == b) & (a == c) & (a == d), a, to_cast)
+@compiled
+def list_casts(free: Bytes, known: Bytes, step: int, nodes: Floats32, frames: Floats32) -> tuple[Ints, Ints, Floats32]:
+    """List the nodes of a level that are to be cast; those that are known to be free are set.
+
+    Args:
+        free: (s, N, N) states, changed in place.
+        known: (s, N, N) nodes that are free at a greater length, or none.
+        step: nodes between two nodes of the level.
+        nodes: (N * N, 3) directions of the nodes in the frame of a sample.
+        frames: (s, 12) of the samples.
+
+    Returns:
+        Sample, node and (n, 3) direction in the object frame of each ray.
+    """
+    count = 0
+    for s in range(len(free)):
+        for i in range(0, N_NODES, step):
+            for j in range(0, N_NODES, step):
+                if free[s, i, j] == _TO_CAST:
+                    if len(known) and known[s, i, j] == 1:
+                        free[s, i, j] = 1
+                    else:
+                        count += 1
+    sample, node = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    directions = np.empty((count, 3), dtype=np.float32)
+    k = 0
+    for s in range(len(free)):
+        frame = frames[s]
+        for i in range(0, N_NODES, step):
+            for j in range(0, N_NODES, step):
+                if free[s, i, j] == _TO_CAST:
+                    sample[k], node[k] = s, i * N_NODES + j
+                    a, b, c = nodes[node[k], 0], nodes[node[k], 1], nodes[node[k], 2]
+                    for axis in range(3):
+                        directions[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
+                    k += 1
+    return sample, node, directions
 
 
 @compiled
-def turn_nodes(nodes: Floats32, frames: Floats32, sample: Ints, node: Ints) -> Floats32:
-    """Return the (n, 3) directions of nodes of samples in the object frame."""
-    directions = np.empty((len(sample), 3), dtype=np.float32)
+def set_nodes(free: Bytes, sample: Ints, node: Ints, is_free: Bools) -> None:
+    """Set the states of nodes after their rays were cast."""
     for k in range(len(sample)):
-        a, b, c = nodes[node[k], 0], nodes[node[k], 1], nodes[node[k], 2]
-        frame = frames[sample[k]]
-        for axis in range(3):
-            directions[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
-    return directions
+        free[sample[k], node[k] // N_NODES, node[k] % N_NODES] = is_free[k]
+
+
+@compiled
+def subdivide(free: Bytes, step: int, is_cast_if_occluded: bool) -> None:
+    """Set the nodes of the next finer level: the value of their coarser neighbours, or `_TO_CAST` if these differ.
+
+    Args:
+        free: (s, N, N) states, changed in place.
+        step: nodes between two nodes of the finer level.
+        is_cast_if_occluded: whether all nodes of this level are cast where any of the coarser level is occluded, since
+            thin occluders are between these.
+    """
+    to_cast, last = np.uint8(_TO_CAST), N_NODES - 1
+    for s in range(len(free)):
+        nodes, is_occluded = free[s], False
+        if is_cast_if_occluded:
+            for i in range(0, N_NODES, 2 * step):
+                for j in range(0, N_NODES, 2 * step):
+                    is_occluded |= nodes[i, j] == 0
+        for i in range(0, N_NODES, 2 * step):
+            below = min(i + 2 * step, last)
+            for j in range(0, N_NODES, 2 * step):
+                beside = min(j + 2 * step, last)
+                a, b, c, d = nodes[i, j], nodes[below, j], nodes[i, beside], nodes[below, beside]
+                if i < last:
+                    nodes[i + step, j] = to_cast if is_occluded or a != b else a
+                if j < last:
+                    nodes[i, j + step] = to_cast if is_occluded or a != c else a
+                if i < last and j < last:
+                    nodes[i + step, j + step] = to_cast if is_occluded or a != b or a != c or a != d else a
+
+
+@compiled
+def pack_nodes(free: Bytes) -> Bytes:
+    """Return the packed nodes (M, R, B) of free ones (M, R, N, N): `_FREE`, and `_EDGE` where a neighbour differs."""
+    M, R = free.shape[:2]
+    packed = np.zeros((M, R, (N_NODES * N_NODES + 3) // 4), dtype=np.uint8)
+    edges = np.empty((N_NODES, N_NODES), dtype=np.uint8)
+    last = N_NODES - 1
+    for m in range(M):
+        for r in range(R):
+            here, shorter, longer = free[m, r], free[m, max(r - 1, 0)], free[m, min(r + 1, R - 1)]
+            for i in range(N_NODES):
+                row, above, below = here[i], here[max(i - 1, 0)], here[min(i + 1, last)]
+                for j in range(N_NODES):
+                    edges[i, j] = (row[j] ^ above[j]) | (row[j] ^ below[j]) | (row[j] ^ shorter[i, j])
+                    edges[i, j] |= row[j] ^ longer[i, j]
+                for j in range(last):
+                    edges[i, j] |= (row[j] ^ row[j + 1]) | (row[j] ^ above[j + 1]) | (row[j] ^ below[j + 1])
+                for j in range(1, N_NODES):
+                    edges[i, j] |= (row[j] ^ row[j - 1]) | (row[j] ^ above[j - 1]) | (row[j] ^ below[j - 1])
+            for i in range(N_NODES):
+                for j in range(N_NODES):
+                    node = i * N_NODES + j
+                    packed[m, r, node >> 2] |= (here[i, j] * _FREE + edges[i, j] * _EDGE) << (2 * (node & 3))
+    return packed
 
 
 @compiled

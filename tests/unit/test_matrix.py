@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell import files
 from cell.part.workpiece import load
 from cell.scene.file import load_scene
 from cell.scene.settle import settle
@@ -97,9 +98,9 @@ def test_the_cache_deletes_its_oldest_files(tmp_path: Path) -> None:
         path = tmp_path / f"{name}.npz"
         path.write_bytes(b"x" * 100)
         os.utime(path, (1e9 - age, 1e9 - age))
-    measurability.delete_oldest(tmp_path, 300)
+    files.delete_oldest(tmp_path, 300)
     assert len(list(tmp_path.iterdir())) == 3
-    measurability.delete_oldest(tmp_path, 250)
+    files.delete_oldest(tmp_path, 250)
     assert {path.stem for path in tmp_path.iterdir()} == {"new", "middle"}
-    measurability.delete_oldest(tmp_path, 10)
+    files.delete_oldest(tmp_path, 10)
     assert {path.stem for path in tmp_path.iterdir()} == {"new"}
