@@ -200,8 +200,7 @@ class DirectionTable(Value):
             for end in (self.scanner.source, self.scanner.sensor)
         )
         part, *others = self.casters
-        pose, column = np.nonzero(result > 1)
-        mark = result[pose, column]
+        pose, column, mark = list_uncertain(result)
         for bit, ends, casters in (
             (_SOURCE_PART, source, (part,)), (_SENSOR_PART, sensor, (part,)),
             (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
@@ -438,6 +437,23 @@ def find_nodes(block: Floats32, pose: Floats32, limits: Floats32, nodes: Ints32,
         scale = np.divide(half, abs(a) + abs(b) + abs(g))
         nodes[1, m] = np.int32((a + b) * scale + middle) * size + np.int32((a - b) * scale + middle)
         squared[0, m], squared[1, m] = to_source, to_sensor
+
+
+@compiled
+def list_uncertain(result: Bytes) -> tuple[Ints, Ints, Bytes]:
+    """Return pose, column and mark of the pairs in (n, m) marks whose lines of sight are near an edge."""
+    count = 0
+    for k in range(len(result)):
+        for m in range(result.shape[1]):
+            count += result[k, m] > 1
+    pose, column = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    mark, i = np.empty(count, dtype=np.uint8), 0
+    for k in range(len(result)):
+        for m in range(result.shape[1]):
+            if result[k, m] > 1:
+                pose[i], column[i], mark[i] = k, m, result[k, m]
+                i += 1
+    return pose, column, mark
 
 
 @compiled
