@@ -400,8 +400,9 @@ def draw_deviation(path: Path, mesh: TriangleMesh, deviation: Deviation, source:
     from cell.view.palette import SIGNED
     from cell.world.embree import EmbreeRayCaster
 
-    figure = Figure(figsize=(14.0, 4.9), dpi=110, layout="constrained")
-    panels = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.8))
+    figure = Figure(figsize=(14.0, 4.9), dpi=110)  # fixed axes: a layout of matplotlib draws the figure twice more
+    lefts, widths = (0.03, 0.33, 0.74), (0.27, 0.27, 0.25)
+    panels = [figure.add_axes((left, 0.11, width, 0.76)) for left, width in zip(lefts, widths, strict=True)]
     limit = max(deviation.quantile_95 * 1000.0, 1e-6) * 1.5
     scale = ScalarMappable(Normalize(-limit, limit), LinearSegmentedColormap.from_list("signed", SIGNED))
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
@@ -413,7 +414,8 @@ def draw_deviation(path: Path, mesh: TriangleMesh, deviation: Deviation, source:
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("mm", fontsize=8)
         axes.tick_params(labelsize=7)
-    figure.colorbar(scale, ax=panels[:2], shrink=0.8, extend="both", label="deviation [mm], positive outside")
+    bar = figure.add_axes((0.61, 0.17, 0.012, 0.64))
+    figure.colorbar(scale, cax=bar, extend="both", label="deviation [mm], positive outside")
     edges = deviation.bin_edges * 1000.0
     middle = (edges[1:] + edges[:-1]) / 2
     panels[2].bar(
