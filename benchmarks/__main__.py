@@ -48,6 +48,8 @@ REGISTRY = {
     "candidates": "candidate generators: seconds, views and coverable area of the plan of every part",
     "free_poses": "attainable coverage of any pose of the arm, compared with that of the candidates",
     "pose_search": "views over the effort of the pose search: views, coverage and motion beside processor seconds",
+    "coverage_over_views": "coverage over the number of views, with candidates only and with free poses",
+    "direction_table": "error of the direction table over its size: measured shares beside exact rays, seconds, MB",
     "versions": "the main jobs beside another version on every part: views, bound, coverage, seconds, memory",
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",
     "rays": "hits and blocked lines of sight against float64 brute force; a matrix of 10,000 x 10,000; share of Embree",

@@ -112,6 +112,8 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ("mug_resolution.png",): _benchmark("mug"),
     ("ordering_budget.png",): _benchmark("gtsp"),
     ("pose_search.png",): _benchmark("pose_search"),
+    ("coverage_over_views.png",): _benchmark("coverage_over_views"),
+    ("direction_table.png",): _benchmark("direction_table"),
     ("plant_stability.png",): _benchmark("plant"),
     ("reconstruction.png",): _benchmark("reconstruction"),
     ("sigma_model.png",): _benchmark("sigma"),
