@@ -99,10 +99,10 @@ class SearchPoses(Value):
             self.place[which],
         )  # fmt: skip
 
-    def with_pose(self, view: int, T_object_scanner: Floats) -> "SearchPoses":
-        """Return the poses with one view moved to a pose (4, 4) [m] near its own."""
+    def with_poses(self, views: Ints, T_object_scanner: Floats) -> "SearchPoses":
+        """Return the poses with some views moved to poses (n, 4, 4) [m] near their own."""
         T, moved = self.T_object_scanner.copy(), self.moved.copy()
-        T[view], moved[view] = T_object_scanner, True
+        T[views], moved[views] = T_object_scanner, True
         return replace(self, T_object_scanner=T, moved=moved)
 
     def with_view(self, view: int, other: "SearchPoses") -> "SearchPoses":
@@ -285,13 +285,15 @@ class _Search:
 
     def _needed_most(self, measured: Bools, removed: int) -> Ints:
         """Return all views but `removed`: repeatedly drop the one with the smallest area that no other measures."""
-        remaining, times = np.arange(len(measured)), measured.sum(axis=0)
+        is_left, times = np.ones(len(measured), dtype=np.bool_), measured.sum(axis=0)
+        alone = measured[:, times == 1] @ self.weights[times == 1]
         for _ in range(removed):
-            alone = (measured[remaining] & (times == 1)) @ self.weights
-            least = int(np.argmin(alone))
-            times = times - measured[remaining[least]]
-            remaining = np.delete(remaining, least)
-        return remaining
+            least = int(np.argmin(np.where(is_left, alone, np.inf)))
+            is_left[least] = False
+            times = times - measured[least]
+            rows = np.flatnonzero(measured[least] & (times == 1))
+            alone += measured[:, rows] @ self.weights[rows]
+        return np.flatnonzero(is_left)
 
     def _round(self) -> None:
         """Move each view to its best reachable proposal, if that loses nothing or little.
@@ -315,8 +317,7 @@ class _Search:
             views, first = np.unique(view[left], return_index=True)
             moves = tested.pick(left[first])
             is_moved = self._accepted(views, self._measured(moves), accepted[views])
-            for number in np.flatnonzero(is_moved):
-                self.views = self.views.with_pose(int(views[number]), moves.T_object_scanner[number])
+            self.views = self.views.with_poses(views[is_moved], moves.T_object_scanner[is_moved])
             left = np.delete(left, first)
             left = left[~np.isin(view[left], views[is_moved])]
         if self.rounds % _FROM_POOL == _FROM_POOL - 1:

@@ -140,3 +140,32 @@ def test_parameters_rebuild_the_scanner():
     keys = scanner.parameters()
     assert keys.pop("type") == "laser-area"
     assert LaserArea(**keys).parameters() == scanner.parameters()
+
+
+class _Half(LaserArea):
+    """A subclass that rejects one side of its field of view."""
+
+    def reject(self, points, normals):
+        codes = super().reject(points, normals)
+        codes[points[:, 0] > 0] = Rejection.OUT_OF_FOV
+        return codes
+
+
+@pytest.mark.parametrize("scanner", [LaserArea(), LaserArea(max_spacing_mm=2.0), _Half(sensor_fov_deg=(40, 30))])
+def test_points_in_another_frame_have_the_codes_of_transformed_points(scanner):
+    """`reject_at` gives the codes of `reject`, for chosen points and any pose, with all conditions."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-0.4, -0.4, -0.1), (0.4, 0.4, 0.6), (4000, 3))
+    normals = rng.normal(size=(4000, 3)) - 2 * points / np.linalg.norm(points, axis=1, keepdims=True)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    T = np.eye(4)
+    T[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    T[:3, :3] *= np.linalg.det(T[:3, :3])
+    T[:3, 3] = 0.2, -0.3, 0.1
+    rows = rng.permutation(4000)[:3000]
+    expected = scanner.reject(points, normals)[rows]
+    moved, turned = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+    codes = scanner.reject_at(np.ascontiguousarray(moved.T), np.ascontiguousarray(turned.T), rows, T)
+    np.testing.assert_array_equal(codes, expected)
+    assert len(set(expected.tolist())) >= 4
+    assert (expected == Rejection.MEASURED).sum() > 100
