@@ -49,6 +49,7 @@ REGISTRY = {
     "free_poses": "attainable coverage of any pose of the arm, compared with that of the candidates",
     "pose_search": "views over the effort of the pose search: views, coverage and motion beside processor seconds",
     "coverage_over_views": "coverage over the number of views, with candidates only and with free poses",
+    "default_job": "the default plan with other efforts, samples and directions: views and coverage over seconds",
     "direction_table": "error of the direction table over its size: measured shares beside exact rays, seconds, MB",
     "versions": "the main jobs beside another version on every part: views, bound, coverage, seconds, memory",
     "mug": "the paper's Mug at 300 mm: views and both coverages over the ray resolution",

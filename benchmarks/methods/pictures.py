@@ -113,6 +113,7 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ("ordering_budget.png",): _benchmark("gtsp"),
     ("pose_search.png",): _benchmark("pose_search"),
     ("coverage_over_views.png",): _benchmark("coverage_over_views"),
+    ("default_job.png",): _benchmark("default_job"),
     ("direction_table.png",): _benchmark("direction_table"),
     ("plant_stability.png",): _benchmark("plant"),
     ("reconstruction.png",): _benchmark("reconstruction"),
