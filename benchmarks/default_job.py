@@ -61,9 +61,11 @@ def _mean(values: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _plan(part: str, seed: int, values: dict[str, Any], folder: Path, environment: dict[str, str]) -> dict[str, float]:
     with tempfile.TemporaryDirectory(dir=folder) as out:
+        scene = Path(out) / "scene.toml"
+        scene.write_text(f"[plan]\nsamples_per_face = {values['samples per face']}\n")
         words = [
-            "cell", "plan", part, "--place", place(), "--seed", str(seed), "--effort", values["effort"], "--json",
-            "--samples-per-face", str(values["samples per face"]), "--no-cache", "--out", f"{out}/run",
+            "cell", "plan", part, "--scene", str(scene), "--place", place(), "--seed", str(seed),
+            "--effort", values["effort"], "--no-cache", "--json", "--out", f"{out}/run",
         ]  # fmt: skip
         code = _CODE.format(evaluated=values["evaluated samples"], nodes=values["nodes"], words=words)
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
