@@ -491,8 +491,10 @@ def sum_weights(
     """
     nodes, squared = np.empty((2, _BLOCK), dtype=np.int32), np.empty((2, _BLOCK), dtype=np.float32)
     for k in range(len(poses)):
-        begin, end = starts[k], starts[k + 1]
-        blocks, weight_of_all = gather_blocks(frames, rows[begin:end]), weights[begin:end].sum()
+        begin, end, weight_of_all = starts[k], starts[k + 1], 0.0
+        for m in range(begin, end):
+            weight_of_all += weights[m]
+        blocks = gather_blocks(frames, rows[begin:end])
         for p in range(poses.shape[1]):
             total, left = 0.0, weight_of_all
             for block in range(len(blocks)):

@@ -330,7 +330,10 @@ class _Search:
         for view in range(len(self.views)):
             rows = np.flatnonzero(self.count == self.measured[view])
             weight = float(self.weights[rows[self.measured[view, rows]]].sum())
-            candidate = best_candidate(self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, weight)
+            sums = np.zeros(len(self.pool))
+            candidate = best_candidate(
+                self.pool_of_row.indptr, self.pool_of_row.indices, rows, self.weights, weight, sums
+            )  # fmt: skip
             if candidate >= 0:
                 here = np.array([candidate])
                 if self._accepted(np.array([view]), self.pool_measured[here], np.zeros(1))[0]:
@@ -417,7 +420,9 @@ def accept_moves(measured: Bools, count: Ints, weights: Floats, view: Ints, new:
 
 
 @compiled
-def best_candidate(indptr: Ints32, indices: Ints32, rows: Ints, weights: Floats, least: float) -> int:
+def best_candidate(
+    indptr: Ints32, indices: Ints32, rows: Ints, weights: Floats, least: float, sums: Floats
+) -> int:  # fmt: skip
     """Return the candidate that measures the largest weight of some rows; -1 if none measures more than `least`.
 
     Args:
@@ -426,10 +431,13 @@ def best_candidate(indptr: Ints32, indices: Ints32, rows: Ints, weights: Floats,
         rows: (m,) rows that count.
         weights: (S,) of the rows.
         least: weight to exceed.
+        sums: (V,) zeros, overwritten with the weight of each candidate; numpy's functions take long to compile.
     """
-    sums = np.zeros(indices.max() + 1 if len(indices) else 1)
+    best = -1
     for row in rows:
         for entry in range(indptr[row], indptr[row + 1]):
             sums[indices[entry]] += weights[row]
-    best = int(sums.argmax())
-    return best if sums[best] > least * (1 + 1e-12) else -1
+    for candidate in range(len(sums)):
+        if sums[candidate] > least * (1 + 1e-12) and (best < 0 or sums[candidate] > sums[best]):
+            best = candidate
+    return best
