@@ -29,23 +29,25 @@ from cell.study.planned_placement import (
     planned_columns,
     planned_of,
 )
-from cell.study.prepared_part import Bench, scene_settings, shared_bench, solve_reach
+from cell.study.prepared_part import scene_settings, shared_bench
 from cell.study.study import Row, Study
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics import reach
 from planner.kinematics.frames import pose_from_kuka_abc
-from planner.kinematics.reach import Reach, join_reach, pick_reach
 from planner.measurability import coverage
-from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
-from planner.measurability.visibility import apply_occluders, fill_matrix
-from planner.ports import RayCaster
+from planner.measurability.matrix import join_measurability, pick_measurability
+from planner.measurability.visibility import any_unoccluded, apply_occluders, fill_matrix, find_measured
 from planner.timing.limits import scale_limits
 from planner.tour.orderings import order_views
 from planner.tour.visits import TourProblem
+from planner.values import Bools
 from planner.viewpoints import growth
+from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, viewpoints_from_poses
 
@@ -84,24 +86,30 @@ def evaluate_placement(settings: JsonTable) -> dict[str, object]:
     except SceneError:  # a table with a fixed position cannot carry the part there
         return blocked
     candidates, M = bench.candidate_subset(settings["candidates"])
-    cell = Cell.of(world)
+    cell, scanner, samples = Cell.of(world), bench.scanner, M.samples
     if not cell.checker.free(world.home[None])[0]:
         return blocked
-    reached = solve_reach(world, candidates)
-    values: dict[str, object] = {"reachable": float(reached.reachable.mean()), "coverable": 0.0, "home_free": True}
-    which = np.flatnonzero(reached.reachable)
-    if not len(which):
+    casters = bench.caster, make_caster(fixed_occluders(world))
+    arm = view_evaluator(cell, scanner, casters)
+    usable = arm.are_reachable(candidates.T_object_scanner)
+    values: dict[str, object] = {"reachable": float(usable.mean()), "coverable": 0.0, "home_free": True}
+    if not usable.any():
         return values
-    occluders = make_caster(fixed_occluders(world))
-    M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
-    M = apply_occluders(M, views, bench.scanner, occluders, ray_caster=bench.caster)
-    reached = pick_reach(reached, which)
+    is_measured = any_unoccluded(M, candidates, usable, scanner, casters[1], ray_caster=bench.caster)
+    grown = None
     if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
-        views, reached, M = _with_grown(bench, cell, (bench.caster, occluders), (views, reached, M))
-    is_measured = np.diff(M.indptr) > 0
-    values["coverable"] = float(M.samples.areas[is_measured].sum() / M.samples.areas.sum())
+        grown = _grown(arm, samples, is_measured)
+        is_measured |= find_measured(grown.T_object_scanner, samples, scanner, casters, among=~is_measured)
+    values["coverable"] = float(samples.areas[is_measured].sum() / samples.areas.sum())
     if settings["what"] == COVERAGE_ONLY or not is_measured.any():
         return values
+    which = np.flatnonzero(usable)
+    views, M = pick_viewpoints(candidates, which), pick_measurability(M, which)
+    if grown is not None:
+        views = join_viewpoints([views, grown])
+        M = join_measurability([M, fill_matrix(grown, samples, scanner, bench.caster)])
+    M = apply_occluders(M, views, scanner, casters[1], ray_caster=bench.caster)
+    reached = reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker)
     rng = np.random.default_rng(bench.scene.plan.seed)
     problem = cover.CoverProblem(M.matrix(), M.samples.areas, coverage=bench.scene.plan.coverage)
     selection = cover.solve(problem, rng=rng, solver=settings["solver"])
@@ -114,40 +122,16 @@ def evaluate_placement(settings: JsonTable) -> dict[str, object]:
         **values,
         "views": len(selection.views),
         "lower_bound": selection.lower_bound,
-        "visible": coverage.visible_coverage(poses, bench.samples, bench.scanner, (bench.caster, occluders)).fraction,
+        "visible": coverage.visible_coverage(poses, bench.samples, scanner, casters).fraction,
         "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
     }
 
 
-def _with_grown(
-    bench: Bench,
-    cell: Cell,
-    casters: tuple[RayCaster, RayCaster],
-    known: tuple[Viewpoints, Reach, Measurability],
-) -> tuple[Viewpoints, Reach, Measurability]:
-    """Append candidates that are grown at this placement, with the samples of the matrix as scouts.
-
-    Args:
-        bench: part and scanner.
-        cell: with the part at this placement.
-        casters: of the part and of the occluders.
-        known: reachable candidates, their reach and their matrix.
-    """
-    views, reached, M = known
-    scanner, samples = bench.scanner, M.samples
-    arm = view_evaluator(cell, scanner, casters)
-    grown = growth.grow(RayTargets.of(samples.points, samples.normals, samples.region), np.diff(M.indptr) > 0, arm)
-    if not len(grown):
-        return known
-    added = viewpoints_from_poses(grown.T_object_scanner, samples.points[grown.row], samples.planning_face[grown.row])
-    added = scanners.sweep_columns(scanner, added)
-    part_only = fill_matrix(added, samples, scanner, casters[0])
-    measured = apply_occluders(part_only, added, scanner, casters[1], ray_caster=casters[0])
-    return (
-        join_viewpoints([views, added]),
-        join_reach([reached, solve_reach(cell.world, added)]),
-        join_measurability([M, measured]),
-    )
+def _grown(arm: ViewEvaluator, samples: SurfaceSamples, is_measured: Bools) -> Viewpoints:
+    """Grow candidates at a placement, with the samples of the matrix as scouts; none may be needed."""
+    grown = growth.grow(RayTargets.of(samples.points, samples.normals, samples.region), is_measured, arm)
+    views = viewpoints_from_poses(grown.T_object_scanner, samples.points[grown.row], samples.planning_face[grown.row])
+    return scanners.sweep_columns(arm.scanner, views)
 
 
 def placement_study(
