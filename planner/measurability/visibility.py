@@ -171,7 +171,7 @@ def _unoccluded_pairs(
             entries = entries[is_open[entries]]
         return in_view(targets, poses[pose], scanner, entries) if K > 1 or has_region_limits else entries
 
-    return visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if is_open is None else _OPEN_BUNDLE)
+    return visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if is_open is None else len(samples))
 
 
 def find_measured(
