@@ -28,13 +28,11 @@ from cell.scene.model import Scene
 from cell.study.options import PlaceRange
 from cell.study.placement_study import (
     AXES,
-    COVERAGE_ONLY,
-    WITH_VIEWS,
-    evaluate_placement,
     place_option,
     placement_row,
     planned_text,
 )
+from cell.study.placement_trial import COVERAGE_ONLY, WITH_VIEWS, evaluate_placement
 from cell.study.planned_placement import (
     N_PLANNED,
     PlannedPlacement,
