@@ -8,6 +8,7 @@ Five rounds of trials, so that a stopped search resumes:
 3. full coverage at the best placements of round 2;
 4. views and cycle time of the best of round 3;
 5. plans of the best of round 4 and of the placement of the scene, if it is in the range; the best plan is recommended.
+   That of the scene's placement needs no other round and begins with the first.
 
 The result has the ten best placements with their spread, and the distances from the best one to placements where
 nothing is reachable or 5 % of its coverage is lost.
