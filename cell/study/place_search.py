@@ -8,6 +8,7 @@ Five rounds of trials, so that a stopped search resumes:
 3. full coverage at the best placements of round 2;
 4. views and cycle time of the best of round 3;
 5. plans of the best of round 4 and of the placement of the scene, if it is in the range; the best plan is recommended.
+   That of the scene's placement needs no other round and begins with the first.
 
 The result has the ten best placements with their spread, and the distances from the best one to placements where
 nothing is reachable or 5 % of its coverage is lost.
@@ -28,13 +29,11 @@ from cell.scene.model import Scene
 from cell.study.options import PlaceRange
 from cell.study.placement_study import (
     AXES,
-    COVERAGE_ONLY,
-    WITH_VIEWS,
-    evaluate_placement,
     place_option,
     placement_row,
     planned_text,
 )
+from cell.study.placement_trial import COVERAGE_ONLY, WITH_VIEWS, evaluate_placement
 from cell.study.planned_placement import (
     N_PLANNED,
     PlannedPlacement,
@@ -47,7 +46,7 @@ from cell.study.planned_placement import (
 )
 from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, StudyResult, write_folder
-from cell.study.trials import JsonTable, Outcome, Trial, Workers, run_trials
+from cell.study.trials import JsonTable, Outcome, Trial, Workers, run_trials, start_trials
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
 from planner.values import Floats, Ints
@@ -158,6 +157,9 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         plans = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
         return {place: each for place, each in plans.items() if each is not None}
 
+    default = place_of(scene)
+    planned_places = [default] if is_within(default, list(zip(*where.ends, strict=True))) else []
+    start_trials(list(finalist_trials(scene, planned_places).values()), workers)
     unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(COARSE_PLACES)
     points = np.tile(low, (COARSE_PLACES if len(free) else 1, 1))
     if len(free):
@@ -197,13 +199,10 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         (placement_row(point, (b, c), each) for point, each in zip(finalists, values, strict=True) if "views" in each),
         key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
     )[:10]
-    default = place_of(scene)
-    planned_places = [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
-    if is_within(default, list(zip(*where.ends, strict=True))):
-        planned_places.append(default)
-        if default not in [tuple(row[axis] for axis in AXES) for row in ten]:
-            (views_and_time,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
-            ten.append(placement_row(default, (b, c), views_and_time))
+    if planned_places and default not in [tuple(row[axis] for axis in AXES) for row in ten]:
+        (views_and_time,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
+        ten.append(placement_row(default, (b, c), views_and_time))
+    planned_places += [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
     ten = _planned_first(ten, compute_plans(planned_places), default)
     lost_mm, unreached_mm = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
     shares = [each.coverable for each in coarse]

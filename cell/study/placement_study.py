@@ -1,8 +1,7 @@
-"""Placements of the part: the trial of a placement, and `cell study placement`, a grid of them (the paper's Table 5).
+"""Placements of the part: `cell study placement`, a grid of them (the paper's Table 5).
 
-Coverage is that of the matrix's samples, with post, floor and fixtures as occluders. The views are a selection with its
-lower bound. The cycle time is an estimate from straight joint moves, without detours around obstacles. The best by
-these estimates and the placement of the scene are planned (`cell.study.planned_placement`); the best plan wins.
+The best by the estimates (`cell.study.placement_trial`) and the placement of the scene are planned
+(`cell.study.planned_placement`); the best plan wins.
 """
 
 import math
@@ -16,10 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from cell import scanners
-from cell.errors import SceneError
-from cell.plan.candidates import GROWN, Cell, view_evaluator
 from cell.scene.model import Scene
+from cell.study.placement_trial import WITH_VIEWS, evaluate_placement
 from cell.study.planned_placement import (
     N_PLANNED,
     best_place,
@@ -29,27 +26,11 @@ from cell.study.planned_placement import (
     planned_columns,
     planned_of,
 )
-from cell.study.prepared_part import Bench, scene_settings, shared_bench, solve_reach
+from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
-from cell.world.occluders import fixed_occluders, make_caster
-from planner import cover
-from planner.kinematics.frames import pose_from_kuka_abc
-from planner.kinematics.reach import Reach, join_reach, pick_reach
-from planner.measurability import coverage
-from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
-from planner.measurability.visibility import apply_occluders, fill_matrix
-from planner.ports import RayCaster
-from planner.timing.limits import scale_limits
-from planner.tour.orderings import order_views
-from planner.tour.visits import TourProblem
-from planner.viewpoints import growth
-from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, viewpoints_from_poses
-
-COVERAGE_ONLY, WITH_VIEWS = "coverage", "whole"
 
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
 _TILT = ("B deg", "C deg")
@@ -63,91 +44,6 @@ _MAPS = (
     ("views", "views (greedy)", "magma_r"),
     ("cycle s", "cycle time, estimate from straight moves [s]", "magma_r"),
 )
-
-
-def evaluate_placement(settings: JsonTable) -> dict[str, object]:
-    """Evaluate a placement: the trial of placement maps and of the placement search.
-
-    Args:
-        settings: scene and files (`cell.study.prepared_part`), position_mm (3), abc_deg (3), what (`COVERAGE_ONLY` or
-            `WITH_VIEWS`), solver of the views, and candidates (size of the subset; null: all).
-
-    Returns:
-        reachable (share of the candidates), coverable (share of the surface), home_free; with views also views,
-        lower_bound, visible (share of the surface, held-out samples) and cycle_s (null if a view has no move).
-    """
-    bench = shared_bench(settings)
-    place = pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
-    blocked: dict[str, object] = {"reachable": 0.0, "coverable": 0.0, "home_free": False}
-    try:
-        world = bench.world.with_placement(place)
-    except SceneError:  # a table with a fixed position cannot carry the part there
-        return blocked
-    candidates, M = bench.candidate_subset(settings["candidates"])
-    cell = Cell.of(world)
-    if not cell.checker.free(world.home[None])[0]:
-        return blocked
-    reached = solve_reach(world, candidates)
-    values: dict[str, object] = {"reachable": float(reached.reachable.mean()), "coverable": 0.0, "home_free": True}
-    which = np.flatnonzero(reached.reachable)
-    if not len(which):
-        return values
-    occluders = make_caster(fixed_occluders(world))
-    M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
-    M = apply_occluders(M, views, bench.scanner, occluders, ray_caster=bench.caster)
-    reached = pick_reach(reached, which)
-    if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
-        views, reached, M = _with_grown(bench, cell, (bench.caster, occluders), (views, reached, M))
-    is_measured = np.diff(M.indptr) > 0
-    values["coverable"] = float(M.samples.areas[is_measured].sum() / M.samples.areas.sum())
-    if settings["what"] == COVERAGE_ONLY or not is_measured.any():
-        return values
-    rng = np.random.default_rng(bench.scene.plan.seed)
-    problem = cover.CoverProblem(M.matrix(), M.samples.areas, coverage=bench.scene.plan.coverage)
-    selection = cover.solve(problem, rng=rng, solver=settings["solver"])
-    poses = views.T_object_scanner[selection.views]
-    configurations = [reached.configurations_of(int(view)) for view in selection.views]
-    limits = scale_limits(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
-    moves = TourProblem.straight(configurations, world.home, limits)
-    tour = order_views(moves, world.T_base_object @ poses[:, 0], rng, bound_effort=0)
-    return {
-        **values,
-        "views": len(selection.views),
-        "lower_bound": selection.lower_bound,
-        "visible": coverage.visible_coverage(poses, bench.samples, bench.scanner, (bench.caster, occluders)).fraction,
-        "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
-    }
-
-
-def _with_grown(
-    bench: Bench,
-    cell: Cell,
-    casters: tuple[RayCaster, RayCaster],
-    known: tuple[Viewpoints, Reach, Measurability],
-) -> tuple[Viewpoints, Reach, Measurability]:
-    """Append candidates that are grown at this placement, with the samples of the matrix as scouts.
-
-    Args:
-        bench: part and scanner.
-        cell: with the part at this placement.
-        casters: of the part and of the occluders.
-        known: reachable candidates, their reach and their matrix.
-    """
-    views, reached, M = known
-    scanner, samples = bench.scanner, M.samples
-    arm = view_evaluator(cell, scanner, casters)
-    grown = growth.grow(RayTargets.of(samples.points, samples.normals, samples.region), np.diff(M.indptr) > 0, arm)
-    if not len(grown):
-        return known
-    added = viewpoints_from_poses(grown.T_object_scanner, samples.points[grown.row], samples.planning_face[grown.row])
-    added = scanners.sweep_columns(scanner, added)
-    part_only = fill_matrix(added, samples, scanner, casters[0])
-    measured = apply_occluders(part_only, added, scanner, casters[1], ray_caster=casters[0])
-    return (
-        join_viewpoints([views, added]),
-        join_reach([reached, solve_reach(cell.world, added)]),
-        join_measurability([M, measured]),
-    )
 
 
 def placement_study(
@@ -171,7 +67,7 @@ def placement_study(
     }
 
     default = place_of(scene)
-    is_in_grid = is_within(default, (x, y, z, yaw))
+    of_default = finalist_trials(scene, [default] if is_within(default, (x, y, z, yaw)) else []).values()
 
     def estimates(outcomes: Sequence[Outcome]) -> dict[tuple[float, ...], Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
@@ -188,7 +84,7 @@ def placement_study(
             for place in sorted(estimates_of, key=lambda place: _estimated_rank(estimates_of[place]))
             if estimates_of[place]["views"]
         ]
-        return list(finalist_trials(scene, [*best_places[:N_PLANNED], *([default] if is_in_grid else [])]).values())
+        return list(finalist_trials(scene, best_places[:N_PLANNED]).values())
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}
@@ -209,7 +105,7 @@ def placement_study(
 
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(
-        "placement", f"Placements of {name}: {len(grid)}", list(grid.values()), rows, pictures, sentences,
+        "placement", f"Placements of {name}: {len(grid)}", [*of_default, *grid.values()], rows, pictures, sentences,
         options=place_option, best=best_row, finalists=finalists,
     )  # fmt: skip
 

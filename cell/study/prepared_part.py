@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from cell import scanners
 from cell.errors import FileError
 from cell.part import workpiece
+from cell.part.planning_mesh import planning_mesh
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import generate_viewpoints
 from cell.robot.model import KR16
@@ -32,7 +33,6 @@ from cell.world.model import World, compile_settled
 from cell.world.prediction import held_out_samples
 from planner import cover
 from planner.cover import Cover, CoverProblem
-from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics import reach
@@ -89,7 +89,7 @@ class Bench:
     @cached_property
     def planning(self) -> TriangleMesh:
         """The planning mesh."""
-        return decimate(self.part.reference, self.settings.faces)
+        return planning_mesh(self.part.reference, self.settings.faces)
 
     @cached_property
     def caster(self) -> EmbreeRayCaster:

@@ -187,6 +187,9 @@ class Workers(ABC):
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
         """Yield the outcome of each of the distinct trials as it is finished."""
 
+    def start(self, trials: Sequence[Trial]) -> None:  # noqa: B027 # a hint, which other workers ignore
+        """Begin trials that a later `compute` yields, if there are workers for other trials meanwhile."""
+
     @abstractmethod
     def close(self) -> None:
         """End the workers."""
@@ -231,6 +234,11 @@ def run_trials(
     return [outcomes[trial] for trial in trials]
 
 
+def start_trials(trials: Sequence[Trial], workers: Workers) -> None:
+    """Begin trials that `run_trials` computes later; other trials may be computed meanwhile."""
+    workers.start([trial for trial in trials if load(trial, cache_folder("studies")) is None])
+
+
 def open_workers(processes: int, cluster: str | None = None, security: Path | None = None) -> Workers:
     """Return local worker processes, or those of a Dask cluster.
 
@@ -255,6 +263,12 @@ class Processes(Workers):
     def __init__(self, count: int) -> None:
         self._count = count
         self._pool: ProcessPoolExecutor | None = None
+        self._started: dict[Trial, Future[Outcome]] = {}
+
+    def start(self, trials: Sequence[Trial]) -> None:
+        """Begin trials, unless there is one process only."""
+        if self._count > 1:
+            self._started.update({trial: self._submit(trial) for trial in trials})
 
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
         """Yield each outcome. A dying process ends all running trials; each of them is repeated once, alone."""
@@ -265,7 +279,8 @@ class Processes(Workers):
             try:
                 while queue or running:
                     while queue and len(running) < limit:
-                        running[self._open().submit(compute, queue[0], queue[0].digest)] = queue[0]
+                        started = self._started.pop(queue[0], None)
+                        running[started or self._submit(queue[0])] = queue[0]
                         queue.popleft()
                     completed, _ = wait(running, return_when=FIRST_COMPLETED)
                     for future in sorted(completed, key=lambda future: running[future].settings):
@@ -279,15 +294,16 @@ class Processes(Workers):
                 else:
                     yield from (Outcome(trial, {}, _DIED, {}) for trial in running.values())
 
-    def _open(self) -> ProcessPoolExecutor:
+    def _submit(self, trial: Trial) -> Future[Outcome]:
         if self._pool is None:
             # spawn: a forked child would inherit the threads of ray engine and solver in an unknown state.
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_end_with_parent)
-        return self._pool
+        return self._pool.submit(compute, trial, trial.digest)
 
     def close(self) -> None:
         """End the processes."""
+        self._started.clear()
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None

@@ -17,6 +17,7 @@ So `free`, `contacts` and `distance` agree, and depend on the configuration alon
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,16 +50,20 @@ class MujocoCollisionChecker:
         self._data: mujoco.MjData = world.data(T_base_object)
         self._inflated: mujoco.MjData = world.data(T_base_object, world.inflated)
         model = world.model
-        self._travel = TravelBound(model, table_radius(model, self._data, world.table))
         self._turned = TablePoses(self._data, world.table)
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)
         moves = model.body_weldid[model.geom_bodyid] > 0
         mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0
         self._both_move = (moves & ~mocap)[self._pairs].all(axis=1)
-        at_zero = world.data(T_base_object)
+        at_zero = self._data if world.table is None else world.data(T_base_object)
         self._table = TableCollision(model, at_zero, world.table, self._pairs, world.clearance, world.distance)
+        self._table_radius = table_radius(model, at_zero, world.table)
         self._on_floor = np.flatnonzero(self._pairs[:, 0] == model.geom("floor").id)  # the only shape without a sphere
+
+    @cached_property
+    def _travel(self) -> TravelBound:
+        return TravelBound(self._world.model, self._table_radius)
 
     @property
     def clearance(self) -> float:

@@ -101,6 +101,54 @@ def apply_occluders(
             them measured the sample.
         progress: called with (poses done, poses in all) after each bundle.
     """
+    pairs = _unoccluded_pairs(measurability, viewpoints, scanner, occluder_caster, ray_caster)
+    return _compress(pairs, viewpoints, measurability.samples, progress)
+
+
+def any_unoccluded(
+    measurability: Measurability,
+    viewpoints: Viewpoints,
+    usable: Bools,
+    scanner: Scanner,
+    occluder_caster: RayCaster,
+    *,
+    ray_caster: RayCaster | None = None,
+) -> Bools:
+    """Return (S,) whether a usable candidate measures each sample past occluders: an entry of `apply_occluders` stays.
+
+    A sample is tested only until a candidate measures it.
+
+    Args:
+        measurability: M of the part alone.
+        viewpoints: candidates of M.
+        usable: (V,) candidates that count.
+        scanner: sensor model.
+        occluder_caster: of everything but the part.
+        ray_caster: of the part, as for `apply_occluders`.
+    """
+    is_open = np.ones(len(measurability.samples), dtype=np.bool_)
+    for _, _, row in _unoccluded_pairs(
+        measurability, viewpoints, scanner, occluder_caster, ray_caster, usable=usable, is_open=is_open
+    ):
+        is_open[row] = False
+    return ~is_open
+
+
+def _unoccluded_pairs(
+    measurability: Measurability,
+    viewpoints: Viewpoints,
+    scanner: Scanner,
+    occluder_caster: RayCaster,
+    ray_caster: RayCaster | None,
+    *,
+    usable: Bools | None = None,
+    is_open: Bools | None = None,
+) -> Pairs:
+    """Yield the pairs of entries of M that occluders do not hide, as `visible_pairs`.
+
+    With `is_open` (S,), which the caller updates, a pose is tested on the samples that are open by then; with `usable`
+    (V,) only usable viewpoints are tested.
+    """
     samples = measurability.samples
     if len(viewpoints) != measurability.n_viewpoints:
         raise PlannerError(
@@ -116,10 +164,14 @@ def apply_occluders(
     has_region_limits = samples.region is not None and getattr(scanner, "reject_in", None) is not None
 
     def rows_of(pose: int) -> Ints:
+        if usable is not None and not usable[pose // K]:
+            return np.empty(0, dtype=np.int64)
         entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
+        if is_open is not None:
+            entries = entries[is_open[entries]]
         return in_view(targets, poses[pose], scanner, entries) if K > 1 or has_region_limits else entries
 
-    return _compress(visible_pairs(poses, targets, scanner, casters, rows_of), viewpoints, samples, progress)
+    return visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if is_open is None else len(samples))
 
 
 def find_measured(

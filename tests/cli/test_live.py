@@ -24,7 +24,7 @@ from cell.scene.file import load_scene
 from cell.scene.model import BoxFixture, Placement, Scene, pose
 from cell.scene.writer import scene_text
 from cell.session import LoggedProgress
-from cell.study.placement_study import COVERAGE_ONLY, evaluate_placement
+from cell.study.placement_trial import COVERAGE_ONLY, evaluate_placement
 from cell.study.prepared_part import scene_settings
 
 _PATIENCE_S = 120.0

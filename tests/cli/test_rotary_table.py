@@ -22,7 +22,7 @@ from cell.runs.verification import verify_plan
 from cell.scan.emulator import SCHEMA
 from cell.scene.file import scene_from_options
 from cell.session import LoggedProgress
-from cell.study.placement_study import evaluate_placement
+from cell.study.placement_trial import evaluate_placement
 from cell.study.prepared_part import scene_settings
 from cell.view.replay import load_playback
 from cell.world.model import World

@@ -5,18 +5,17 @@ import json
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Self
 
 import pytest
 
 from cell.study.planned_placement import N_PLANNED
-from cell.study.trials import Outcome, Trial, compute
+from cell.study.trials import Outcome, Trial, Workers, compute
 from tests.support.fixture_types import RunCommand
 
 _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
 
-class _Here:
+class _Here(Workers):
     """Workers in this process. tests/faults/test_study_workers.py tests separate processes."""
 
     def __init__(self, count: int) -> None:
@@ -27,11 +26,8 @@ class _Here:
         for trial in trials:
             yield compute(trial, trial.digest)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
+    def close(self) -> None:
+        """Do nothing: there are no processes."""
 
 
 @pytest.fixture(scope="module", autouse=True)

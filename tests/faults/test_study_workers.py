@@ -9,14 +9,15 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from cell.errors import UsageError
 from cell.scene.file import load_scene
-from cell.study.placement_study import COVERAGE_ONLY, evaluate_placement
+from cell.study.placement_trial import COVERAGE_ONLY, evaluate_placement
 from cell.study.prepared_part import scene_settings
-from cell.study.trials import OnOutcome, Outcome, Trial, compute, open_workers, run_trials
+from cell.study.trials import OnOutcome, Outcome, Processes, Trial, compute, open_workers, run_trials
 from tests.support.fixture_types import StartCommand
 
 
@@ -72,6 +73,32 @@ def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Out
     outcomes = run(trials, processes=2, folder=tmp_path, on_outcome=kill_one)
     assert killed
     assert _values(outcomes) == _values(local)
+
+
+def test_a_started_trial_is_submitted_once(
+    trials: list[Trial], local: list[Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its outcome comes after those of other trials."""
+    with Processes(2) as workers:
+        submit = Mock(wraps=workers._submit)
+        monkeypatch.setattr(workers, "_submit", submit)
+        workers.start(trials[3:])
+        others = run_trials(trials[:3], workers, folder=tmp_path)
+        assert submit.call_count == 4
+        assert _values(others + run_trials(trials[3:], workers, folder=tmp_path)) == _values(local)
+        assert submit.call_count == 4
+
+
+def test_a_started_trial_whose_process_died_is_computed_again(
+    trials: list[Trial], local: list[Outcome], tmp_path: Path
+) -> None:
+    """All processes are killed after the start."""
+    with Processes(2) as workers:
+        workers.start(trials[3:])
+        for process in multiprocessing.active_children():
+            process.kill()
+            process.join()
+        assert _values(run_trials(trials, workers, folder=tmp_path)) == _values(local)
 
 
 def test_a_stopped_study_resumes(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import trimesh
 
 from cell.errors import FileError
 from cell.scene.file import load_scene
-from cell.study.placement_study import evaluate_placement
+from cell.study.placement_trial import evaluate_placement
 from cell.study.prepared_part import Bench, scene_from_settings, scene_settings, shared_bench
 from cell.world import virtual_scan
 from cell.world.collision import MujocoCollisionChecker

@@ -10,7 +10,7 @@ from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples, samples_at_face_centres
 from planner.measurability.matrix import Measurability, append_rows
-from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
+from planner.measurability.visibility import any_unoccluded, apply_occluders, fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 from tests.support.meshes import block, caster_of
 
@@ -99,6 +99,20 @@ def test_an_occluder_removes_the_hidden_entries_only(cube):
     assert (double.matrix().toarray() == (hidden[:, :12] | hidden[:, 12:])).all()
     joint = find_measured(T, samples, SCANNER, [caster, wall], each=True)
     assert (joint == hidden).all()
+
+
+def test_samples_that_usable_candidates_measure_past_occluders_are_those_of_the_matrix(cube):
+    """The union of the usable columns behind a wall, for one and for two poses per column; it hides some samples."""
+    _, caster, samples, views = cube
+    wall = caster_of(block((0.01, 0.5, 0.5), (0.15, 0.02, 0)))
+    T = views.T_object_scanner
+    for some in (views, _views(np.concatenate([T[:12], T[12:]], axis=1))):
+        M = fill_matrix(some, samples, SCANNER, caster)
+        hidden = apply_occluders(M, some, SCANNER, wall, ray_caster=caster).matrix().toarray()
+        for usable in (np.ones(len(some), bool), np.arange(len(some)) % 3 == 0, np.zeros(len(some), bool)):
+            found = any_unoccluded(M, some, usable, SCANNER, wall, ray_caster=caster)
+            np.testing.assert_array_equal(found, hidden[:, usable].any(axis=1))
+            assert not usable.any() or found.sum() < M.matrix().toarray()[:, usable].any(axis=1).sum()
 
 
 def test_progress_ends_at_all_poses(cube):
