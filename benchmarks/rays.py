@@ -33,21 +33,22 @@ import json, resource, sys, time
 import numpy as np
 import cell.world.embree
 from cell.world.embree import EmbreeRayCaster
-from cell.scene.resolve import resolve
 from cell.scanners.laser_area import LaserArea
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.settle import settle
 from cell.part.workpiece import load
 from planner.measurability import visibility
 from planner.viewpoints import lines_of_sight
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import sample
+from planner import threads
+from planner.geometry.sampling import draw_samples
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 faces, per_face = int(sys.argv[1]), int(sys.argv[2])
 part = load("mseke")
 settings = settle(load_scene(None, {"part": {"name": "mseke"}}), part).settings
 planning = decimate(part.reference, faces)
-features = sample(part.reference, planning, per_face * len(planning.faces), np.random.default_rng(0))
+features = draw_samples(part.reference, planning, per_face * len(planning.faces), np.random.default_rng(0))
 views = optimal_scanning_zone(planning, settings.standoffs, (0.0,))
 caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
 passed = [0]
@@ -60,7 +61,7 @@ best = None
 for _ in range(int(sys.argv[3])):
     passed[0] = 0
     start = time.perf_counter()
-    M = visibility.fill(views, features, scanner, caster)
+    M = visibility.fill_matrix(views, features, scanner, caster)
     seconds = time.perf_counter() - start
     best = min(best, seconds) if best else seconds
 
@@ -74,9 +75,9 @@ class Timed:
         return result
 
 caster._scene = timed = Timed(caster._scene)
-caster._workers = 1  # one thread, so that the share of Embree's seconds is defined
+threads.CORES = 1  # one thread, so that the share of Embree's seconds is defined
 start = time.perf_counter()
-visibility.fill(views, features, scanner, caster)
+visibility.fill_matrix(views, features, scanner, caster)
 alone = time.perf_counter() - start
 print(json.dumps({
     "what": f"fill {len(planning.faces)} x {len(views)}, {per_face} per face",
