@@ -126,22 +126,6 @@ class Scanner(Protocol):
         ...
 
 
-@runtime_checkable
-class PosedScanner(Protocol):
-    """A scanner that rejects points in another frame, which is faster than to transform them first."""
-
-    def reject_at(self, points: Floats, normals: Floats, rows: Ints, T: Floats) -> NDArray[np.uint8]:
-        """Return (N,) the codes of `Scanner.reject` for (N,) of S points.
-
-        Args:
-            points: (3, S) coordinates [m], read-only.
-            normals: (3, S) outward unit normals, read-only.
-            rows: (N,) points.
-            T: (4, 4) pose of the scanner in their frame [m].
-        """
-        ...
-
-
 class SpacingScanner(Scanner, Protocol):
     """A scanner with a known distance of its points."""
 
@@ -185,6 +169,17 @@ class AreaLimits(Protocol):
         Baseline along +x [m]; tangents of half the field of view, and of the sensor's (0: not limited); smallest and
         largest range and depth [m]; cosines of the grazing limits at source and sensor; cosine and sine of the sensor's
         tilt.
+        """
+        ...
+
+    def reject_at(self, points: Floats, normals: Floats, rows: Ints, T: Floats) -> NDArray[np.uint8]:
+        """Return (N,) the codes of `reject` for (N,) of S points in another frame; valid if there are limits.
+
+        Args:
+            points: (3, S) coordinates [m], read-only.
+            normals: (3, S) outward unit normals, read-only.
+            rows: (N,) points.
+            T: (4, 4) pose of the scanner in their frame [m].
         """
         ...
 

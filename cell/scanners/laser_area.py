@@ -173,26 +173,19 @@ class LaserArea:
         x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
         for array in (x_y_z, n_x_y_z):
             array.setflags(write=False)
-        return self._codes(x_y_z, n_x_y_z, np.arange(len(points)), np.eye(4))
+        codes = self.reject_at(x_y_z, n_x_y_z, np.arange(len(points)), np.eye(4))
+        if self.max_spacing_mm is not None:
+            passed = np.flatnonzero(codes == Rejection.MEASURED)
+            dense = self.spacing(points[passed], normals[passed]) <= self.max_spacing_mm / 1000 * (1 + TOLERANCE)
+            codes[passed[~dense]] = Rejection.TOO_SPARSE
+        return codes
 
     def reject_at(self, points: Floats, normals: Floats, rows: Ints, T: Floats) -> NDArray[np.uint8]:
-        """Find the first failed condition of points in another frame; see `planner.ports.PosedScanner`."""
-        if type(self).reject is not LaserArea.reject:  # a subclass with another law
-            R = T[:3, :3]
-            return self.reject((points[:, rows].T - T[:3, 3]) @ R, normals[:, rows].T @ R)
-        return self._codes(points, normals, rows, T)
-
-    def _codes(self, points: Floats, normals: Floats, rows: Ints, T: Floats) -> NDArray[np.uint8]:
+        """Find the first failed condition of points in another frame; see `planner.ports.AreaLimits`."""
         from cell.scanners.area_law import rejections  # numba is kept out of the start-up
 
         codes = np.empty(len(rows), dtype=np.uint8)
         rejections(points, normals, rows, T, self._limits, TOLERANCE, codes)
-        if self.max_spacing_mm is not None:
-            passed = np.flatnonzero(codes == Rejection.MEASURED)
-            at, R = rows[passed], T[:3, :3]
-            spacing = self.spacing((points[:, at].T - T[:3, 3]) @ R, normals[:, at].T @ R)
-            dense = spacing <= self.max_spacing_mm / 1000 * (1 + TOLERANCE)
-            codes[passed[~dense]] = Rejection.TOO_SPARSE
         return codes
 
     @property

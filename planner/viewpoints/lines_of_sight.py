@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.ports import PosedScanner, RayCaster, Rejection, Scanner
+from planner.ports import AreaLimits, RayCaster, Rejection, Scanner
 from planner.values import Bools, Floats, Ints, Ints32, readonly
 
 LIFT = 1e-6
@@ -100,7 +100,7 @@ def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None 
     Returns:
         The rows that pass, in their order.
     """
-    if isinstance(scanner, PosedScanner):
+    if isinstance(scanner, AreaLimits) and scanner.area_limits is not None:
         tested = np.arange(len(targets)) if rows is None else rows
         codes = scanner.reject_at(targets.points, targets.normals, tested, np.array(T))
         return np.asarray(tested[codes == Rejection.MEASURED])
@@ -123,7 +123,7 @@ def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None 
 
 def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: Ints) -> Bools:
     """Return (P, n) whether `in_view` passes each of (n,) points at each of (P, 4, 4) poses [m], in one call."""
-    if isinstance(scanner, PosedScanner):
+    if isinstance(scanner, AreaLimits) and scanner.area_limits is not None:
         passes = np.empty((len(poses), len(rows)), dtype=np.bool_)
         for number, T in enumerate(poses):
             passes[number] = scanner.reject_at(targets.points, targets.normals, rows, np.array(T)) == Rejection.MEASURED

@@ -5,7 +5,9 @@ import pytest
 
 from cell.errors import SceneError
 from cell.scanners.laser_area import LaserArea
+from planner.measurability.quality import LimitedScanner, QualityLimits
 from planner.ports import Rejection
+from planner.viewpoints.lines_of_sight import RayTargets, in_view, in_view_matrix
 
 BACK = np.array([0.0, 0.0, -1.0])  # the normal of a surface that faces the scanner
 
@@ -142,6 +144,19 @@ def test_parameters_rebuild_the_scanner():
     assert LaserArea(**keys).parameters() == scanner.parameters()
 
 
+@pytest.mark.parametrize("scanner", [LaserArea(), LaserArea(sensor_fov_deg=(40, 30), depth_of_field_mm=(200, 400))])
+def test_points_in_another_frame_have_the_codes_of_transformed_points(scanner):
+    """`reject_at` gives the codes of `reject`, for chosen points and any pose."""
+    points, normals, T = _points_around()
+    rows = np.random.default_rng(1).permutation(len(points))[:3000]
+    expected = scanner.reject(points, normals)[rows]
+    moved, turned = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+    codes = scanner.reject_at(np.ascontiguousarray(moved.T), np.ascontiguousarray(turned.T), rows, T)
+    np.testing.assert_array_equal(codes, expected)
+    assert len(set(expected.tolist())) >= 4
+    assert (expected == Rejection.MEASURED).sum() > 30
+
+
 class _Half(LaserArea):
     """A subclass that rejects one side of its field of view."""
 
@@ -151,9 +166,32 @@ class _Half(LaserArea):
         return codes
 
 
-@pytest.mark.parametrize("scanner", [LaserArea(), LaserArea(max_spacing_mm=2.0), _Half(sensor_fov_deg=(40, 30))])
-def test_points_in_another_frame_have_the_codes_of_transformed_points(scanner):
-    """`reject_at` gives the codes of `reject`, for chosen points and any pose, with all conditions."""
+@pytest.mark.parametrize(
+    "scanner",
+    [
+        LaserArea(),
+        LaserArea(max_spacing_mm=2.0),
+        _Half(),
+        LimitedScanner(LaserArea(), max_sigma=2e-5),
+        LimitedScanner(LaserArea(), regions=(QualityLimits(sigma=2e-5), QualityLimits())),
+    ],
+)
+def test_points_in_view_pass_all_conditions_of_the_scanner(scanner):
+    """`in_view` and `in_view_matrix` find the points that `reject`, or that of their region, passes."""
+    points, normals, T = _points_around()
+    region = np.arange(len(points), dtype=np.int32) % 2
+    has_regions = bool(getattr(scanner, "regions", ()))
+    codes = scanner.reject_in(points, normals, region) if has_regions else scanner.reject(points, normals)
+    moved, turned = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+    targets, expected = RayTargets.of(moved, turned, region), np.flatnonzero(codes == Rejection.MEASURED)
+    assert 0 < len(expected) < np.count_nonzero(LaserArea().reject(points, normals) == 0) or type(scanner) is LaserArea
+    np.testing.assert_array_equal(in_view(targets, T, scanner), expected)
+    matrix = in_view_matrix(targets, T[None], scanner, np.arange(len(points)))
+    np.testing.assert_array_equal(np.flatnonzero(matrix[0]), expected)
+
+
+def _points_around():
+    """Return points and normals in the scanner frame, many of them in view, and a pose."""
     rng = np.random.default_rng(0)
     points = rng.uniform((-0.4, -0.4, -0.1), (0.4, 0.4, 0.6), (4000, 3))
     normals = rng.normal(size=(4000, 3)) - 2 * points / np.linalg.norm(points, axis=1, keepdims=True)
@@ -162,10 +200,4 @@ def test_points_in_another_frame_have_the_codes_of_transformed_points(scanner):
     T[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     T[:3, :3] *= np.linalg.det(T[:3, :3])
     T[:3, 3] = 0.2, -0.3, 0.1
-    rows = rng.permutation(4000)[:3000]
-    expected = scanner.reject(points, normals)[rows]
-    moved, turned = points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
-    codes = scanner.reject_at(np.ascontiguousarray(moved.T), np.ascontiguousarray(turned.T), rows, T)
-    np.testing.assert_array_equal(codes, expected)
-    assert len(set(expected.tolist())) >= 4
-    assert (expected == Rejection.MEASURED).sum() > 30
+    return points, normals, T
