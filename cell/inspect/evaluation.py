@@ -35,7 +35,6 @@ _SECTIONS = 5  # cross-sections of roundness and runout
 _LINES = 8  # of the straightness of a cylinder or cone
 _ZONES = 16  # drawn errors whose minimum zones are evaluated
 _SHARE = 0.05  # smallest measured share of a feature with a value
-_AXIAL = ("cylinder", "cone", "circle")
 
 
 class Verdict(StrEnum):

@@ -52,7 +52,6 @@ class RunFolder:
     target: Path
     path: Path
     manifest: Manifest
-    _stage: str = "start"
     _artefacts: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -112,7 +111,6 @@ class RunFolder:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Enter a stage: write its name to the manifest and add its duration at the end."""
-        self._stage = name
         self.manifest = self.manifest.but(stage=name)
         self._write_manifest()
         start = perf_counter()

@@ -96,7 +96,7 @@ class ExecutionFolder(RunFolder):
     def reopen(cls, path: Path, manifest: Manifest) -> "ExecutionFolder":
         """Open the folder of an earlier execution, to report or resume it."""
         seconds = {name: took for name, took in manifest.seconds.items() if name == EXECUTING}
-        return cls(path, path, manifest.but(schema_version=SCHEMA, seconds=seconds), "start", dict(manifest.artefacts))
+        return cls(path, path, manifest.but(schema_version=SCHEMA, seconds=seconds), dict(manifest.artefacts))
 
     def resume(self, argv: list[str], driver: str, **approach: object) -> None:
         """Mark a stopped execution as running in this process, and record its continuation in the manifest.

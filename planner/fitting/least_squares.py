@@ -67,11 +67,6 @@ class Fit(Value):
     doubts: tuple[str, ...] = ()
 
     @property
-    def is_unique(self) -> bool:
-        """Whether the points determine the shape."""
-        return not self.doubts
-
-    @property
     def rms(self) -> float:
         """Root mean square distance of the points from the shape [m]."""
         return float(np.sqrt(np.mean(self.residuals**2)))
