@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from cell.errors import FileError
-from cell.files import read_bytes
+from cell.files import file_errors, read_bytes
 from cell.inspect.features import same_surface
 from cell.part.cad import CadModel, SurfaceKind
 from cell.part.workpiece import Workpiece
@@ -82,10 +82,8 @@ def parse(path: Path) -> ElementTree.Element:
     Raises:
         FileError: if it is no QIF 3 file.
     """
-    try:
+    with file_errors(f"{path} cannot be read"):
         content = read_bytes(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     if b"<!ENTITY" in content:
         raise FileError(f"{path} declares entities, which a QIF file has no use for; export it again")
     try:

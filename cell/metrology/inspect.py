@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError, UsageError
-from cell.files import atomic_write
+from cell.files import atomic_write, file_errors
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.features import InspectionPlan
 from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_source, read_plan
@@ -93,7 +93,7 @@ def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
         with atomic_write(folder / name) as path:
             path.write_bytes(content)
 
-    try:
+    with file_errors(f"{folder} cannot be written", "choose another --out"):
         done.write(write, qif)
         title = f"# Inspection of {done.result.part} ([view](features.html))"
         text = "\n".join([title, "", "![The features](features.png)", "", *done.section()])
@@ -102,8 +102,6 @@ def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
             features_picture(path, done.reference, done.plan, done.result)
         with atomic_write(folder / "report.pdf") as path:
             report_pdf(path, folder / "features.png", done.result)
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 
 
 def _characteristics(run: Run | None, scene: Scene | None) -> tuple[InspectionPlan, TriangleMesh, bytes | None, str]:

@@ -33,10 +33,8 @@ def read(path: Path) -> Floats:
     Raises:
         FileError: if it cannot be read.
     """
-    try:
+    with files.file_errors(f"{path} cannot be read"):
         content = files.read_bytes(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     readers: dict[str, Callable[[bytes], Floats]] = {
         ".ply": _ply,
         ".pcd": _pcd,

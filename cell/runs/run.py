@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from cell.errors import FileError
+from cell.files import file_errors
 from cell.formatting import Summary, percent
 from cell.runs import ply
 from cell.runs.folder import SCHEMA
@@ -734,12 +735,8 @@ def read_manifest(path: Path) -> Manifest:
 
 def file_bytes(path: Path) -> bytes:
     """Return the content of a file."""
-    try:
+    with file_errors(f"{path} cannot be read", "check its permissions", lower=True):
         return path.read_bytes()
-    except OSError as error:
-        raise FileError(
-            f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check its permissions"
-        ) from error
 
 
 @contextmanager

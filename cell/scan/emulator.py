@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cell.errors import DriverFailureError, FileError, UsageError
-from cell.files import atomic_write
+from cell.files import atomic_write, file_errors
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import open_run
@@ -254,12 +254,10 @@ def write_controller_files(
         contents = rsi.files(address, port, load_arm(run_folder, "ideal").limits, cycle_ms=cycle_ms)
     else:
         raise UsageError(f"cell controller {protocol}: unknown protocol; valid are: kvp, rsi")
-    try:
+    with file_errors(f"{out} cannot be written", "choose another --out"):
         for name, content in contents.items():
             with atomic_write(out / name) as part:
                 part.write_bytes(content)
-    except OSError as error:
-        raise FileError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
     return [out / name for name in contents]
 
 
@@ -298,10 +296,8 @@ class Memory:
 
     def __init__(self, state: Path | None, log: Path | None) -> None:
         self._state = state
-        try:
+        with file_errors(f"{log} cannot be written", "choose another --log"):
             self._log = None if log is None else log.open("a", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{log} cannot be written: {error.strerror}; choose another --log") from error
         self.axes: SetPoints | None = None
         self.boot, self.ended_in_order = 0, True
         if state is not None and state.exists():
@@ -312,11 +308,9 @@ class Memory:
         """Append one line to the journal."""
         if self._log is None:
             return
-        try:
+        with file_errors(f"{self._log.name} cannot be written", "choose another --log"):
             self._log.write(json.dumps(event) + "\n")
             self._log.flush()
-        except OSError as error:
-            raise FileError(f"{self._log.name} cannot be written: {error.strerror}; choose another --log") from error
 
     def record_state(self, state: RobotState) -> None:
         """Store the position before a client receives it."""
@@ -335,11 +329,11 @@ class Memory:
         if content == self._written:
             return
         text = json.dumps({"schema": SCHEMA, "axes": content[0], "boot": boot, "ended_in_order": ended_in_order})
-        try:
-            with atomic_write(self._state) as part:
-                part.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error
+        with (
+            file_errors(f"{self._state} cannot be written", "choose another --state"),
+            atomic_write(self._state) as part,
+        ):
+            part.write_text(text + "\n", encoding="utf-8")
         self._written = content
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.files import file_errors
 from cell.formatting import comma_list
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.inspection import inspect_points, read_plan
@@ -485,8 +486,6 @@ def _disconnected(numbers: Sequence[int]) -> list[str]:
 
 
 def _remove_folder(path: Path) -> None:
-    try:
+    with file_errors(f"{path} cannot be replaced", "remove it"):
         if path.exists():
             shutil.rmtree(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be replaced: {error.strerror or error}; remove it") from error

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError, UsageError
+from cell.errors import UsageError
+from cell.files import file_errors
 from cell.runs import ply
 from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.folder import SCHEMA, json_text
@@ -498,7 +499,7 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
 def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
     """Write the files and return their folder."""
     target, part = run.folder / FOLDER, run.folder / (FOLDER + ".part")
-    try:
+    with file_errors(f"{target} cannot be written", "the run folder must be writable", lower=True):
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
@@ -510,9 +511,6 @@ def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
         )
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(f"{target} cannot be written: {reason}; the run folder must be writable") from error
     return target
 
 
