@@ -221,11 +221,8 @@ def _feature(part: Workpiece, cad: CadModel, table: FeatureTable) -> Feature:
     default = kinds[0] if len(kinds) == 1 and kinds[0] != "mesh" else "width" if _is_width(patches) else "surface"
     kind = table.kind or default
     expected = {"width": "two parallel or opposite planes", "circle": "the faces of one cylinder"}
-    fits = {
-        "surface": True,
-        "width": kinds == ["plane", "plane"],
-        "circle": kinds == ["cylinder"],
-    }.get(kind, kinds == [kind])
+    special = {"surface": True, "width": kinds == ["plane", "plane"], "circle": kinds == ["cylinder"]}
+    fits = special.get(kind, kinds == [kind])
     if not fits:
         raise SceneError(
             f"the feature '{table.name}' is a {kind}, which needs {expected.get(kind, f'the faces of one {kind}')}; "

@@ -184,9 +184,7 @@ def inspect_points(
     T, words = align(plan, association, measured.points)
     if not np.array_equal(T, np.eye(4)):
         measured = replace(
-            measured,
-            points=transform_points(T, measured.points),
-            origins=transform_points(T, measured.origins),
+            measured, points=transform_points(T, measured.points), origins=transform_points(T, measured.origins)
         )
     features = measure_features(association, measured)
     measurements = Evaluation(plan, features, association.nearest, measured.pose_sd).measure_all()

@@ -16,13 +16,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.errors import SceneError
-from cell.plan.improvement import (
-    EquivalentViews,
-    cover_of_motion,
-    shorter_motion,
-    single_views,
-    swap_views,
-)
+from cell.plan.improvement import EquivalentViews, cover_of_motion, shorter_motion, single_views, swap_views
 from cell.plan.selection import PinnedViewError, Request, Selection, SelectionProblem, select_views
 from cell.world.self_occlusion import OcclusionUpdate, SelfOcclusion, arm_caster, coverage_with_arm
 from planner.cover import Cover, CoverStatus

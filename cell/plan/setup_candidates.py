@@ -104,9 +104,7 @@ def given_candidates(scene: Scene) -> list[SetupCandidate]:
 
 def with_fixed_table(scene: Scene, world: World) -> Scene:
     """Return the scene with its rotary table at its position in a compiled cell, whatever the pose of the part."""
-    if world.table is None:
-        return scene
-    return with_table_at(scene, world.table.T_base_table)
+    return scene if world.table is None else with_table_at(scene, world.table.T_base_table)
 
 
 def with_table_at(scene: Scene, T_base_table: Floats) -> Scene:

@@ -56,12 +56,7 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls,
-        out: Path | None,
-        argv: list[str],
-        seed: int,
-        inputs: Mapping[str, str],
-        now: datetime,
+        cls, out: Path | None, argv: list[str], seed: int, inputs: Mapping[str, str], now: datetime
     ) -> "RunFolder":
         """Create the folder.
 

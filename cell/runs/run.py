@@ -138,9 +138,7 @@ class ArtefactFolder(Summary):
     def arrays(self, name: str) -> dict[str, NDArray[Any]]:
         """Return the arrays of an .npz artefact."""
         stored = npz_arrays(self.folder / name, self.artefact(name))
-        if self.manifest.schema_version in FORMER_SCHEMAS:
-            return with_present_arrays(stored)
-        return stored
+        return with_present_arrays(stored) if self.manifest.schema_version in FORMER_SCHEMAS else stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)

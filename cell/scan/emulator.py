@@ -200,9 +200,7 @@ def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], Non
     clock = RealTimeClock()
     try:
         server = UrServer(
-            UrController(to_rad(from_rad(home)), clock),
-            options.port,
-            max(options.port - UR_SCRIPT_OFFSET, 0),
+            UrController(to_rad(from_rad(home)), clock), options.port, max(options.port - UR_SCRIPT_OFFSET, 0)
         )
     except DriverError as error:
         raise DriverFailureError(str(error)) from error

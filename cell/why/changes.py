@@ -332,9 +332,7 @@ def _relative_change(value: float, now: float) -> float:
 
 def round_mm(length: float) -> float:
     """A length that a person would name: two digits, or whole tens above 100 mm."""
-    if length >= 100:
-        return float(round(length, -1))
-    return float(f"{length:.2g}")
+    return float(round(length, -1)) if length >= 100 else float(f"{length:.2g}")
 
 
 ROTATIONS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees

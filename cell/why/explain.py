@@ -268,11 +268,7 @@ class _Trial:
 
 
 def search_changes(
-    changes: Changes,
-    targets: RayTargets,
-    samples: SurfaceSamples,
-    groups: Sequence[Group],
-    progress: Progress,
+    changes: Changes, targets: RayTargets, samples: SurfaceSamples, groups: Sequence[Group], progress: Progress
 ) -> Findings:
     """Try every change, and evaluate the best ones on all samples concerned."""
     if not groups:
@@ -323,11 +319,7 @@ def search_changes(
 
 
 def _try(
-    changes: Changes,
-    targets: RayTargets,
-    samples: SurfaceSamples,
-    groups: Sequence[Group],
-    progress: Progress,
+    changes: Changes, targets: RayTargets, samples: SurfaceSamples, groups: Sequence[Group], progress: Progress
 ) -> _Trial:
     rows = np.sort(np.concatenate([group.rows for group in groups]))
     counts = [max(_MIN_REPRESENTATIVES, round(_REPRESENTATIVES * len(group.rows) / len(rows))) for group in groups]

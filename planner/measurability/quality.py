@@ -199,11 +199,7 @@ def within_sigma(measurability: Measurability, max_sigma: float) -> Measurabilit
 
 
 def best_values(
-    quantities: Sequence[_Quantity],
-    T_object_scanner: Floats,
-    samples: SurfaceSamples,
-    seen: Bools,
-    scanner: Scanner,
+    quantities: Sequence[_Quantity], T_object_scanner: Floats, samples: SurfaceSamples, seen: Bools, scanner: Scanner
 ) -> list[Floats]:
     """Return the smallest value of quantities such as sigma and spacing over the views that measure each sample.
 
