@@ -9,8 +9,6 @@
 explore.json is written last, so it contains complete batches only. A plan of a batch that is not in it is continued.
 """
 
-import hashlib
-import json
 import os
 import shutil
 from dataclasses import dataclass, replace
@@ -157,8 +155,3 @@ class ExplorationFolder:
 def read_scans(paths: ExplorationFolder, stages: tuple[ExploredBatch, ...]) -> tuple[ExecutedScan, ...]:
     """Return the scans of all batches in execution order."""
     return tuple(scan for stage in stages for scan in read_batch_scans(open_finished(paths.root / stage.folder)))
-
-
-def hash_inputs(*values: object) -> str:
-    """Return the sha256 of JSON values."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.errors import FileError, UsageError
+from cell.errors import FileError, UsageError, errors_as
 from cell.files import atomic_write, file_errors
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.features import InspectionPlan
@@ -278,10 +278,8 @@ def located(
         for k in range(8)
         if len(own := measured.points[octant == k])
     ]
-    try:
+    with errors_as(FileError, PlannerError):
         fit = fit_surface(clouds, ClosestPointQuery(reference), centre, search, rng)
-    except PlannerError as error:
-        raise FileError(str(error)) from error
     sd = float(measured.sigma[0])
     doubts = (*fit.doubts, *fit.alternatives)
     words = "; ".join([f"located within {options.search_mm:g} mm, {options.search_deg:g} deg", *doubts])

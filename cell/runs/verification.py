@@ -229,7 +229,8 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
             return f"the shape '{two.name}' differs"
         same = not (_differs(one.pos, two.pos) or _is_rotated(one.quat, two.quat) or _differs(one.size, two.size))
         if two.dataid[0] >= 0:
-            same = not _is_moved(robot.mesh_of(checked, number).vertices, robot.mesh_of(recompiled, number).vertices)
+            a, b = (robot.mesh_of(model, number).vertices for model in (checked, recompiled))
+            same = not (_exceeds(a, b) or _exceeds(b, a))
         if not same:
             return f"the shape '{two.name}' has another pose or size"
     for number in range(recompiled.nsite):
@@ -274,11 +275,6 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
         mujoco.mju_mulQuat(turned, quat, turn)
         quat = turned
     return quat
-
-
-def _is_moved(one: Floats, two: Floats) -> bool:
-    """Return whether the hulls of two sets of points (N, 3) [m] differ, in the frame of the same body."""
-    return _exceeds(one, two) or _exceeds(two, one)
 
 
 def _exceeds(points: Floats, hull: Floats) -> bool:

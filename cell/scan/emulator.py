@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cell.errors import DriverFailureError, FileError, UsageError
+from cell.errors import DriverFailureError, FileError, UsageError, errors_as
 from cell.files import atomic_write, file_errors
 from cell.robot import model as robot
 from cell.runs.cell import table_of
@@ -96,7 +96,7 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
             "choose another --state, or remove it to start at --start"
         )
     wire_clock = RealTimeClock()
-    try:
+    with errors_as(DriverFailureError, DriverError):
         axes = from_rad(home) if memory.axes is None else memory.axes
         endpoint = Endpoint(
             arm.plant(to_rad(axes)),
@@ -109,8 +109,6 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
             time_scale=options.time_scale,
         )
         line, url = _open_line(protocol, options)
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
     server = Server(_station(protocol, options, endpoint), line, wire_clock, injector, options.time_scale)
     try:
         announce(url)
@@ -132,10 +130,8 @@ def _emulate_kvp(options: EmulateOptions, arm: Arm, injector: Injector | None, a
     home = arm.home if options.start_deg is None else np.append(np.radians(options.start_deg), arm.home[AXES:])
     clock, memory = RealTimeClock(), Memory(None, options.log)
     controller = KukaController(to_rad(from_rad(home)), arm.limits, clock, memory)
-    try:
+    with errors_as(DriverFailureError, DriverError):
         line = TcpLine(options.port)
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
     with _until_stopped(line, options, clock) as is_over:
         announce(f"kvp://{line.name}")
         Server(KvpStation(controller), line, clock, injector).serve(is_over)
@@ -152,10 +148,8 @@ def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, a
             raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
-    try:
+    with errors_as(DriverFailureError, DriverError):
         controller = RsiController(to_rad(from_rad(home)), clock, options.port, options.cycle_ms, injector)
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
     with _until_stopped(controller, options, clock) as is_over:
         announce(controller.url)
         controller.serve(is_over)
@@ -198,12 +192,9 @@ def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], Non
     _require_arm_only("ur", arm)
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
-    try:
-        server = UrServer(
-            UrController(to_rad(from_rad(home)), clock), options.port, max(options.port - UR_SCRIPT_OFFSET, 0)
-        )
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
+    with errors_as(DriverFailureError, DriverError):
+        controller = UrController(to_rad(from_rad(home)), clock)
+        server = UrServer(controller, options.port, max(options.port - UR_SCRIPT_OFFSET, 0))
     with _until_stopped(server, options, clock) as is_over:
         announce(server.url)
         server.serve(is_over)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cell.errors import FileError
+from cell.errors import FileError, errors_as
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.inspection import read_plan
 from cell.metrology import point_files
@@ -402,10 +402,8 @@ def merge_scans(
     if search is not None and rng is not None and clouds:
         vertices = nearest.mesh.vertices
         centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        try:
+        with errors_as(FileError, PlannerError):
             fit = fit_surface(clouds, nearest, centre, search, rng)
-        except PlannerError as error:
-            raise FileError(str(error)) from error
         clouds, poses = [cloud.transformed(fit.T) for cloud in clouds], [fit.T @ pose for pose in poses]
         after = _rms_distance(nearest, clouds)
     if registered and clouds:
