@@ -46,6 +46,7 @@ from cell.scan.results import (
     source_of,
     surface_values,
     usable_scans,
+    write_mesh,
 )
 from cell.scan.scan import resume, scan
 from cell.session import Session, Stream, random_stream
@@ -58,7 +59,6 @@ from planner.measurability.visibility import find_measured
 from planner.registration.cloud import PointCloud
 from planner.registration.localisation import SearchRange
 from planner.registration.registration import Registration, placement_sd, register
-from planner.registration.surface import EDGE_BAND, measure_deviation
 from planner.values import Bools, Floats
 
 COMBINED = "scanned"
@@ -341,13 +341,7 @@ def _write_combined(
     deviation = None
     with session.stage("measure"):
         if surface.mesh is not None:
-            rng, count = random_stream(first.run.seed, Stream.DEVIATION_SAMPLES), session.effort.deviation_samples
-            band = EDGE_BAND * surface.spacing
-            deviation = measure_deviation(
-                surface.mesh, nearest, rng, closed=surface.closed, count=count, edge_band=band
-            )
-            mesh = point_files.mesh_ply(surface.mesh, surface.closed, deviation.at_vertices, source)
-            folder.write_bytes("mesh.ply", mesh)
+            deviation = write_mesh(session, folder, surface.mesh, surface, nearest, first.run.seed, source)
             scan_report.draw_deviation(folder.path / "deviation.png", surface.mesh, deviation, source)
             folder.adopt("deviation.png")
         samples = held_out_samples(reference, first.cell.planning, first.run.seed)

@@ -102,10 +102,7 @@ def apply_occluders(
         progress: called with (poses done, poses in all) after each bundle.
     """
     samples = measurability.samples
-    if len(viewpoints) != measurability.n_viewpoints:
-        raise PlannerError(
-            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
-        )
+    require_candidates(viewpoints, measurability)
     K = viewpoints.T_object_scanner.shape[1]
     if K > 1 and ray_caster is None:
         raise PlannerError(f"viewpoints of {K} poses need `ray_caster`: M does not say which pose measured a sample")
@@ -120,6 +117,14 @@ def apply_occluders(
         return in_view(targets, poses[pose], scanner, entries) if K > 1 or has_region_limits else entries
 
     return _compress(visible_pairs(poses, targets, scanner, casters, rows_of), viewpoints, samples, progress)
+
+
+def require_candidates(viewpoints: Viewpoints, measurability: Measurability) -> None:
+    """Refuse other candidates than those of M."""
+    if len(viewpoints) != measurability.n_viewpoints:
+        raise PlannerError(
+            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
+        )
 
 
 def find_measured(
