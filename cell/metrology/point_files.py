@@ -67,16 +67,16 @@ def file_of_view(folder: Path, stop: int) -> Path | None:
     Raises:
         FileError: if there are several.
     """
-    found = [
+    paths = [
         path
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in SUFFIXES
         and (number := re.search(r"(\d+)$", path.stem)) is not None
         and int(number[1]) == stop
     ]
-    if len(found) > 1:
-        raise FileError(f"{found[0]} and {found[1].name} both belong to view {stop}; remove one of them")
-    return found[0] if found else None
+    if len(paths) > 1:
+        raise FileError(f"{paths[0]} and {paths[1].name} both belong to view {stop}; remove one of them")
+    return paths[0] if paths else None
 
 
 def missing_file(folder: Path, stop: int) -> str:

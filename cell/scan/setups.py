@@ -402,7 +402,7 @@ def _inspect(
         source=source_of([scan for body in bodies for scan in body.scans]),
         is_simulated=is_simulated,
         on_reference=is_simulated and not any(options_of(read_execution(b.run, b.execution)).actual for b in bodies),
-        aligned="set-ups registered to each other and to the part" if is_registered else "set-ups at their placements",
+        alignment="set-ups " + ("registered to each other and to the part" if is_registered else "at their placements"),
         notes=(
             *([f"U contains the registration of each set-up, with standard deviations of {'; '.join(words)}"]
               if is_registered else ()),
