@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
-import webbrowser
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -140,12 +137,3 @@ def _file_stamp(file: Path) -> str:
     except OSError:
         return "none"
     return f"{status.st_mtime_ns}-{status.st_size}"
-
-
-def open_browser(path: Path) -> bool:
-    """Open a page in the user's browser; return False without a browser or a screen."""
-    has_screen = sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    try:
-        return has_screen and webbrowser.open(path.absolute().as_uri())
-    except webbrowser.Error:
-        return False
