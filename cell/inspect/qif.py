@@ -237,11 +237,9 @@ class _Reader:
 
     def _feature(self, nominal: ElementTree.Element) -> dict[str, object]:
         """Return the table of a feature; it is added at the first call."""
-        kind = nominal.tag.removesuffix("FeatureNominal")
-        if kind not in _FEATURES:
-            raise _UnsupportedError(f"its feature is a {kind}, which is not supported")
-        numbers = self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
-        return self._table(numbers, _FEATURES[kind], f"{_FEATURES[kind]} {nominal.get('id')}")
+        numbers = self._table_faces(nominal)
+        kind = _FEATURES[nominal.tag.removesuffix("FeatureNominal")]
+        return self._table(numbers, kind, f"{kind} {nominal.get('id')}")
 
     def _table(self, numbers: tuple[int, ...], kind: str, name: str) -> dict[str, object]:
         return self._tables.setdefault(numbers, {"name": name, "faces": numbers, "kind": kind, "characteristic": []})

@@ -20,7 +20,18 @@ from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, Pr
 from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import PER_DEGREE, SetPoints, axis_name, frozen
-from drivers.wire import Commit, Give, ReopeningLink, Request, Stage, Take, Timeouts, describe_failure, speed_from_wire
+from drivers.wire import (
+    Commit,
+    Give,
+    ReopeningLink,
+    Request,
+    Stage,
+    Take,
+    Timeouts,
+    connect_tcp,
+    describe_failure,
+    speed_from_wire,
+)
 from drivers.wires import kvp, kvp_program
 
 PORT: Final = 7000
@@ -60,14 +71,8 @@ class KvpLine:
             LinkLostError: if nothing answers.
         """
         self.close()
-        try:
-            self._socket = socket.create_connection(self._address, self._seconds + 1.0)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:
-            raise LinkLostError(
-                f"{self.name} cannot be opened: {describe_failure(error)}; check address and network, and that "
-                "KUKAVARPROXY or C3 Bridge runs on the controller"
-            ) from error
+        what = "KUKAVARPROXY or C3 Bridge runs on the controller"
+        self._socket = connect_tcp(self._address, self._seconds, what)
 
     @property
     def is_open(self) -> bool:
