@@ -11,6 +11,9 @@ Each message is one sentence: what is wrong, and what is valid. Coverage below t
 result, not an error. A bug has code 70, Ctrl-C 130.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CellError(Exception):
     """Root of the errors that end a command with one sentence and an exit code."""
@@ -46,3 +49,12 @@ class FileError(CellError):
     """A mesh or a run folder cannot be read or written."""
 
     exit_code = 6
+
+
+@contextmanager
+def errors_as(kind: type[CellError], *others: type[Exception]) -> Iterator[None]:
+    """Convert other errors of the block to a `CellError` with the same message."""
+    try:
+        yield
+    except others as error:
+        raise kind(str(error)) from error

@@ -100,3 +100,20 @@ def atomic_write(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # the folder itself can be the cause of the error
             temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def file_errors(failure: str, cure: str = "", *, lower: bool = False) -> Iterator[None]:
+    """Convert an OSError of the block to a FileError.
+
+    Args:
+        failure: beginning of its message, such as "FILE cannot be read"; the reason of the system follows.
+        cure: end of the message.
+        lower: whether the reason begins with a small letter.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = str(error.strerror or error)
+        message = f"{failure}: {reason.lower() if lower else reason}"
+        raise FileError(f"{message}; {cure}" if cure else message) from error

@@ -135,11 +135,9 @@ class ProgressReporter(Protocol):
         Yields:
             a callback `(done, total)`.
         """
-        ...
 
     def note(self, sentence: str) -> None:
         """Report a finding that the user should know although the command continues."""
-        ...
 
 
 class LoggedProgress:
@@ -205,7 +203,6 @@ class ResultFolder(Protocol):
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Record a stage and its seconds."""
-        ...
 
 
 FolderT = TypeVar("FolderT", bound=ResultFolder | None, covariant=True)

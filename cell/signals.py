@@ -19,11 +19,7 @@ INTERRUPTED: Final = 130
 
 NAMES: Final = {
     signal.Signals[name]: text
-    for name, text in {
-        "SIGINT": "Ctrl-C",
-        "SIGTERM": "SIGTERM",
-        "SIGHUP": "SIGHUP, its terminal was closed",
-    }.items()
+    for name, text in {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP, its terminal was closed"}.items()
     if name in signal.Signals.__members__  # Windows has no SIGHUP
 }
 

@@ -250,12 +250,7 @@ class ControllerClient:
     """
 
     def __init__(
-        self,
-        link: Link,
-        clock: Clock,
-        limits: Limits,
-        *,
-        notify: Callable[[str], None] | None = None,
+        self, link: Link, clock: Clock, limits: Limits, *, notify: Callable[[str], None] | None = None
     ) -> None:
         self._link, self._clock = link, clock
         self._limits, self._notify = limits, notify

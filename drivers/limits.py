@@ -107,9 +107,7 @@ class Limits:
     def with_endless_axis(self) -> "Limits":
         """Return these limits with an endless last axis; its largest step stays the same."""
         return replace(
-            self,
-            lower=np.append(self.lower[:-1], -ENDLESS_RANGE),
-            upper=np.append(self.upper[:-1], ENDLESS_RANGE),
+            self, lower=np.append(self.lower[:-1], -ENDLESS_RANGE), upper=np.append(self.upper[:-1], ENDLESS_RANGE)
         )
 
     def capabilities(self, controller: str, *, hardware: bool, simulated_time: bool) -> Capabilities:

@@ -21,6 +21,7 @@ controller is still the same and whether the last command was executed.
 import math
 import os
 import re
+import socket
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -444,6 +445,28 @@ def port_path(url: DriverUrl) -> str:
             f"Windows {url.scheme}:///COM3?baud=115200"
         )
     return path
+
+
+def connect_tcp(address: tuple[str, int], seconds: float, check: str) -> socket.socket:
+    """Return a connection to a controller.
+
+    Args:
+        address: host and port.
+        seconds: longest time for an answer.
+        check: what a user should check besides address and network.
+
+    Raises:
+        LinkLostError: if nothing answers.
+    """
+    try:
+        connection = socket.create_connection(address, seconds + 1.0)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    except OSError as error:
+        raise LinkLostError(
+            f"{address[0]}:{address[1]} cannot be opened: {describe_failure(error)}; check address and network, and "
+            f"that {check}"
+        ) from error
+    return connection
 
 
 def describe_failure(error: Exception) -> str:

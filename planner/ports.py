@@ -65,7 +65,6 @@ class RayCaster(Protocol):
             origins: (N, 3) [m], in the frame of the triangles.
             directions: (N, 3) unit vectors.
         """
-        ...
 
     def blocked(self, origins: Floats, targets: Floats) -> Bools:
         """Return (N,) whether any triangle lies between origin and target.
@@ -76,7 +75,6 @@ class RayCaster(Protocol):
             origins: (N, 3) [m], free positions (a source or a sensor).
             targets: (N, 3) [m], points on a surface.
         """
-        ...
 
 
 class DirectionCaster(RayCaster, Protocol):
@@ -91,7 +89,6 @@ class DirectionCaster(RayCaster, Protocol):
             directions: (N, 3) unit vectors.
             length: of the rays [m].
         """
-        ...
 
 
 class Scanner(Protocol):
@@ -100,21 +97,17 @@ class Scanner(Protocol):
     @property
     def source(self) -> Floats:
         """(3,) position of the laser source [m], scanner frame (its origin)."""
-        ...
 
     @property
     def sensor(self) -> Floats:
         """(3,) position of the sensor [m], scanner frame: the baseline along +x."""
-        ...
 
     @property
     def grid_shape(self) -> tuple[int, int]:
         """(n_v, n_h) rays of one scan: n = round(FOV / resolution) per axis (Eq. 1)."""
-        ...
 
     def ray_directions(self) -> Floats:
         """Return the (n_v * n_h, 3) unit directions of a scan's rays, scanner frame, row by row."""
-        ...
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
         """Return (N,) the first failed condition that needs no ray, in the order of `Rejection`; limits are inclusive.
@@ -123,7 +116,6 @@ class Scanner(Protocol):
             points: (N, 3) surface points [m], scanner frame.
             normals: (N, 3) outward unit normals, scanner frame.
         """
-        ...
 
 
 class SpacingScanner(Scanner, Protocol):
@@ -139,7 +131,6 @@ class SpacingScanner(Scanner, Protocol):
         Returns:
             (N,) [m]; inf if the source does not face the surface.
         """
-        ...
 
 
 class SigmaScanner(Scanner, Protocol):
@@ -155,7 +146,6 @@ class SigmaScanner(Scanner, Protocol):
         Returns:
             (N,) [m]; inf if no measurement is possible.
         """
-        ...
 
 
 @runtime_checkable
@@ -170,7 +160,6 @@ class AreaLimits(Protocol):
         largest range and depth [m]; cosines of the grazing limits at source and sensor; cosine and sine of the sensor's
         tilt.
         """
-        ...
 
     def reject_at(self, points: Floats, normals: Floats, rows: Ints, T: Floats) -> NDArray[np.uint8]:
         """Return (N,) the codes of `reject` for (N,) of S points in another frame; valid if there are limits.
@@ -217,11 +206,9 @@ class Kinematics(Protocol):
     @property
     def limits(self) -> JointLimits:
         """Limits of the axes."""
-        ...
 
     def forward(self, q: Floats) -> Floats:
         """Return the (N, 4, 4) flange poses T_base_flange [m] of (N, axes) joint angles [rad]."""
-        ...
 
     def inverse(self, T_base_flange: Floats) -> Floats:
         """Return all configurations of each pose, ignoring the joint limits: eight of the arm at each table angle.
@@ -232,7 +219,6 @@ class Kinematics(Protocol):
         Returns:
             (N, branches, axes) joint angles [rad], those of the arm in (-pi, pi]; NaN if a branch has no real solution.
         """
-        ...
 
 
 class CollisionChecker(Protocol):
@@ -241,15 +227,12 @@ class CollisionChecker(Protocol):
     @property
     def clearance(self) -> float:
         """Distance [m] of a free configuration from everything that it must not touch."""
-        ...
 
     def free(self, q: Floats) -> Bools:
         """Return (N,) whether the distance of each checked pair is at least the clearance at (N, axes) angles [rad]."""
-        ...
 
     def contacts(self, q: Floats) -> tuple[str, ...]:
         """Return the pairs closer than the clearance at (axes,) angles [rad], nearest first ("housing with part")."""
-        ...
 
     def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
         """Return the smallest distance of any checked pair, and the pair.
@@ -260,7 +243,6 @@ class CollisionChecker(Protocol):
         Returns:
             (N,) distance [m] (negative in contact) and N names such as "housing with part".
         """
-        ...
 
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:
         """Return an upper bound on the displacement of any point of arm or tool along the straight joint segment.
@@ -275,4 +257,3 @@ class CollisionChecker(Protocol):
             property, a bound on displacement alone has not. The certification of segments depends on it
             (`planner.path.certified_edge`).
         """
-        ...

@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from cell.cli.options import (
-    AsJson,
-    OptionValues,
-    Part,
-    RunFolder,
-    SceneFile,
-    SceneOptions,
-    command,
-    print_json,
-)
+from cell.cli.options import AsJson, OptionValues, Part, RunFolder, SceneFile, SceneOptions, command, print_json
 from cell.errors import UsageError
 from cell.explore.options import SCAN_OPTIONS, ExploreOptions
 from cell.files import unused_path
@@ -53,8 +44,7 @@ def scan(
     run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, or the folder of cell setups.")],
     options: ScanOptions,
     setup: Annotated[
-        int | None,
-        typer.Option(min=1, help="Set-up of a folder of cell setups. Default: all unscanned ones."),
+        int | None, typer.Option(min=1, help="Set-up of a folder of cell setups. Default: all unscanned ones.")
     ] = None,
     resume: Annotated[
         str | None,
@@ -107,12 +97,7 @@ def scan(
 
 
 def _scan_setups(
-    folder: Path,
-    options: ScanOptions,
-    setup: int | None,
-    resume: str | None,
-    report: str | None,
-    terminal: "Terminal",
+    folder: Path, options: ScanOptions, setup: int | None, resume: str | None, report: str | None, terminal: "Terminal"
 ) -> NoReturn:
     """Scan the set-ups of a folder, or write the report of their combined scans."""
     from cell import api

@@ -203,12 +203,12 @@ def view(
 ) -> None:
     """Show a scene, plan, execution, exploration or study in the browser: a file with robot, views and motion."""
     from cell.cli.terminal import Terminal
-    from cell.view import view_command
+    from cell.view import loopback, view_command
 
     terminal = Terminal()
 
     def open_page(path: Path) -> None:
-        if not no_open and not view_command.open_browser(path):
+        if not no_open and not loopback.open_browser(path.absolute().as_uri()):
             terminal.note("no browser could be started; open the file in a browser")
         terminal.print(str(path))
 

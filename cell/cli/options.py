@@ -62,8 +62,7 @@ NoCache = Annotated[
     bool, typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output")
 ]
 AsJson = Annotated[
-    bool,
-    typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel="Output"),
+    bool, typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel="Output")
 ]
 
 OptionValues = dict[str, object]

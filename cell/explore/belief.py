@@ -31,7 +31,7 @@ from cell.runs.schema import UNSEEN, UncoveredArea
 from cell.scene.model import CylinderFixture, MeshFixture, Scene
 from planner.explore.gain import OpenSamples
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace, first_in_cubes
-from planner.geometry.mesh import TriangleMesh, concatenate_meshes
+from planner.geometry.mesh import TriangleMesh, concatenate_meshes, without_unused
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach
 from planner.ports import RayCaster, Scanner
@@ -270,10 +270,7 @@ def _has_similar_normal(lids: TriangleMesh, surface: TriangleMesh, distance: flo
 
 def _submesh(mesh: TriangleMesh, selection: Bools) -> list[TriangleMesh]:
     """Return the mesh of selected faces as a list, empty without any."""
-    if not selection.any():
-        return []
-    used, faces = np.unique(mesh.faces[selection], return_inverse=True)
-    return [TriangleMesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))]
+    return [without_unused(mesh.vertices, mesh.faces[selection])] if selection.any() else []
 
 
 REMAINDER, MISSED, NOT_SELECTED = -3, -2, -1

@@ -20,6 +20,7 @@ from cell.explore.policy import POLICIES, Batch, BatchRequest, ExplorationState
 from cell.explore.prepare import ExplorationContext, initial_file, prepare_exploration
 from cell.explore.stage import StopReason, explain_uncovered, plan_stage
 from cell.explore.state import Belief, read_scans
+from cell.files import file_errors
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.run import ExecutedScan, open_finished
@@ -212,11 +213,8 @@ def _execute(work: ExplorationContext, folder: Path) -> tuple[ExecutedScan, ...]
 def _make_points_folder(folder: Path) -> None:
     """Create the folder for the points of a batch, if the user made its parent."""
     if folder.parent.is_dir():
-        try:
+        with file_errors(f"{folder} cannot be created", "create it for the points of this stage", lower=True):
             folder.mkdir(exist_ok=True)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise FileError(f"{folder} cannot be created: {reason}; create it for the points of this stage") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

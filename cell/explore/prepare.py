@@ -1,5 +1,7 @@
 """Prepare an exploration: the part in simulation, the cylinder, the scanner, the voxels."""
 
+import hashlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from cell.errors import SceneError, UsageError
 from cell.explore.belief import Cylinder, GroundTruth, enclosing_cylinder
 from cell.explore.frustum import SensorFrustum
 from cell.explore.options import MAX_VOXELS, VOXEL_SPACINGS, ExploreOptions
-from cell.explore.state import ExplorationFolder, hash_inputs
+from cell.explore.state import ExplorationFolder
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs.folder import SCHEMA
@@ -150,14 +152,15 @@ def initial_file(work: ExplorationContext) -> ExploreFile:
     """Return explore.json before the first batch."""
     options = work.options.model_dump(mode="json", exclude={"confirm_motion"})
     scanning = work.scanning.model_dump(mode="json", exclude={*RESUME_OPTIONS, *_WAIT_OPTIONS})
-    request = work.scene.model_dump(mode="json"), scanning, options
+    part_sha256 = None if work.part is None else work.part.sha256
+    inputs = work.scene.model_dump(mode="json"), scanning, options, part_sha256
     cylinder = work.cylinder
     return ExploreFile(
         schema=SCHEMA,
         part=work.name,
         status="running",
         stop_reason="",
-        inputs=hash_inputs(*request, None if work.part is None else work.part.sha256),
+        inputs=hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest(),
         seed=work.scene.plan.seed,
         policy=work.options.policy,
         source=work.scanning.acquire,

@@ -9,8 +9,6 @@
 explore.json is written last, so it contains complete batches only. A plan of a batch that is not in it is continued.
 """
 
-import hashlib
-import json
 import os
 import shutil
 from dataclasses import dataclass, replace
@@ -22,6 +20,7 @@ import numpy as np
 from cell.errors import FileError, UsageError
 from cell.explore import belief
 from cell.explore.execution import read_batch_scans
+from cell.files import file_errors
 from cell.runs import schema
 from cell.runs.folder import json_text
 from cell.runs.run import ExecutedScan, npz_arrays, open_finished, reading
@@ -96,11 +95,8 @@ class ExplorationFolder:
             return known
         if self.root.exists() and not self._only_made():
             raise FileError(f"{self.root} exists and is not an exploration; choose another --out")
-        try:
+        with file_errors(f"{self.root} cannot be made", "choose a writable --out", lower=True):
             (self.root / "stages").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise FileError(f"{self.root} cannot be made: {reason}; choose a writable --out") from error
         self.write(file)
         return file
 
@@ -119,14 +115,12 @@ class ExplorationFolder:
     def write(self, file: ExploreFile) -> None:
         """Write explore.json atomically."""
         temporary = self._temporary
-        try:
+        with file_errors(f"{self.file} cannot be written"):
             with temporary.open("w", encoding="utf-8") as stream:
                 stream.write(json_text(file.as_json()))
                 stream.flush()
                 os.fsync(stream.fileno())
             temporary.replace(self.file)
-        except OSError as error:
-            raise FileError(f"{self.file} cannot be written: {error.strerror or error}") from error
 
     def keep(self, number: int, known: Belief) -> None:
         """Write the belief after a batch."""
@@ -161,8 +155,3 @@ class ExplorationFolder:
 def read_scans(paths: ExplorationFolder, stages: tuple[ExploredBatch, ...]) -> tuple[ExecutedScan, ...]:
     """Return the scans of all batches in execution order."""
     return tuple(scan for stage in stages for scan in read_batch_scans(open_finished(paths.root / stage.folder)))
-
-
-def hash_inputs(*values: object) -> str:
-    """Return the sha256 of JSON values."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -10,7 +10,7 @@ from cell.export import fanuc, krl, rapid, ros, tables, urscript
 from cell.export.names import MAX_NAME_LENGTH, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program, ProgramSettings, load_program, program_name
-from cell.files import atomic_write
+from cell.files import atomic_write, file_errors
 from cell.runs.run import Run
 from cell.runs.schema import JsonTable
 from cell.runs.setups import SetupsRun
@@ -137,7 +137,7 @@ def _write_programs(
 def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[Path, ...]:
     """Write each file atomically. Without `replace`, a file with other content is an error."""
     files = {folder / name: content for name, content in contents.items()}
-    try:
+    with file_errors(f"{folder} cannot be written", "choose a writable --out", lower=True):
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in files.items():
             if not replace and path.exists() and path.read_bytes() != content:
@@ -148,7 +148,4 @@ def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[
         for path, content in files.items():
             with atomic_write(path) as part:
                 part.write_bytes(content)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(f"{folder} cannot be written: {reason}; choose a writable --out") from error
     return tuple(files)

@@ -21,7 +21,7 @@ import numpy as np
 from cell.errors import UsageError
 from cell.export.options import ExportOptions
 from cell.export.program import AT_STOP_DEG, Program, ProgramSettings, Sweep, angles_deg
-from cell.export.text import encoded
+from cell.export.text import encoded, fixed_lines
 from planner.ports import ARM_AXES
 from planner.values import Floats
 
@@ -30,27 +30,6 @@ _NOW, _STOP = 98, 99
 _MAX_COMMENT = 32
 _MAX_MS = 32000  # of a motion time in msec; longer times are in tenths of a second
 _PARALLEL = 1e-6
-
-_HEAD = """/ATTR
-OWNER = MNEDITOR;
-COMMENT = "scan-cell";
-PROG_SIZE = 0;
-CREATE = DATE 00-01-01  TIME 00:00:00;
-MODIFIED = DATE 00-01-01  TIME 00:00:00;
-FILE_NAME = ;
-VERSION = 0;
-LINE_COUNT = {count};
-MEMORY_SIZE = 0;
-PROTECT = READ_WRITE;
-TCD:  STACK_SIZE = 0,
-      TASK_PRIORITY = 50,
-      TIME_SLICE = 0,
-      BUSY_LAMP_OFF = 0,
-      ABORT_REQUEST = 0,
-      PAUSE_REQUEST = 0;
-DEFAULT_GROUP = 1,*,*,*,*;
-CONTROL_CODE = 00000000 00000000;
-/MN"""
 
 
 def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSettings]) -> dict[str, bytes]:
@@ -169,7 +148,7 @@ def _comments(sentences: Sequence[str]) -> Iterator[str]:
 
 def _file(name: str, statements: Sequence[str], positions: Sequence[str]) -> Iterator[str]:
     yield f"/PROG  {name}"
-    yield from _HEAD.format(count=len(statements)).split("\n")
+    yield from (line.format(count=len(statements)) for line in fixed_lines("fanuc.ls"))
     for number, statement in enumerate(statements, start=1):
         separator = "" if statement.startswith(("J ", "L ")) else "  "
         yield f"{number:4d}:{separator}{statement} ;"

@@ -19,6 +19,14 @@ every trigger and before that LIN, each axis must be at the end of the last moti
 while the program was halted, it halts again. The scanner resets its answer when the trigger falls. The trigger
 rises only after the answer to the previous view is gone.
 
+The routines are those of `krl.src`, which ends in the function that compares the axes with `SC_STOP`:
+
+    SC_SCAN(n)     scan view n at rest; repeat after each time-out
+    SC_BEGIN(n)    settle, wait until the previous answer is gone, trigger
+    SC_END()       wait for the answer or the time-out, reset the trigger
+    SC_STAND()     halt until the arm is at the end of the last motion, `SC_STOP`
+    SC_CLOCK()     start the time-out
+
 Numbers: joint angles exact to 1e-4 deg, lengths to 1e-3 mm, angles of frames to 1e-4 deg (a REAL of KRL has 7
 digits). Lines end with CR LF; characters are ASCII.
 """
@@ -28,9 +36,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cell.errors import UsageError
-from cell.export.krl_routines import BEGIN, routines
 from cell.export.program import AT_STOP_DEG, Program, ProgramSettings, Sweep, angles_deg
-from cell.export.text import encoded
+from cell.export.text import encoded, fixed_lines
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.setpoints import from_steps, to_steps
 from planner.ports import ARM_AXES, axis_name
@@ -38,6 +45,16 @@ from planner.values import Floats
 
 _MAX_EXTERNAL_AXES = 6
 _MIN_LINE_SPEED = 0.001  # of a line without length: KRL accepts no speed 0 [m/s]
+_BEGIN = (
+    ";FOLD INI",
+    ";FOLD BASISTECH INI",
+    "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )",
+    "INTERRUPT ON 3",
+    "BAS (#INITMOV,0 )",
+    ";ENDFOLD (BASISTECH INI)",
+    ";ENDFOLD (INI)",
+)
+"""Initialisation of KUKA's templates."""
 
 
 def files(name: str, programs: Sequence[Program], settings: Sequence[ProgramSettings]) -> dict[str, bytes]:
@@ -75,7 +92,7 @@ def data(program: Program, settings: ProgramSettings) -> bytes:
 def _main(name: str, programs: Sequence[Program]) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {name}( )")
     yield f"; {len(programs)} set-ups of {programs[0].info.part}, planned by scan-cell; each begins and ends at home"
-    yield from BEGIN
+    yield from _BEGIN
     for number, program in enumerate(programs, start=1):
         yield from ("", f"; set-up {number}: {program.n_views} views; digest of the plan {program.info.digest}")
         yield f"$BASE={frame(program.T_base_object)}"
@@ -87,7 +104,7 @@ def _main(name: str, programs: Sequence[Program]) -> Iterator[str]:
 def _source(program: Program, settings: ProgramSettings) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {program.info.name}( )")
     yield from _head(program)
-    yield from BEGIN
+    yield from _BEGIN
     yield f"BAS(#VEL_PTP,{settings.speed_percent})"
     yield f"BAS(#ACC_PTP,{settings.acceleration_percent})"
     yield "; base: the robot's foot, equal to the world if $ROBROOT is zero; motions between views are in axis angles,"
@@ -123,7 +140,11 @@ def _source(program: Program, settings: ProgramSettings) -> Iterator[str]:
         elif step.view:
             yield f"SC_SCAN({step.view}) ; candidate {program.candidate[step.row]}"
     yield from ("", "END", "")
-    yield from routines([axis_name(axis) for axis in range(program.q.shape[1])])
+    yield from fixed_lines("krl.src")
+    for axis in range(program.q.shape[1]):
+        name = axis_name(axis)
+        yield from (f"IF ABS($AXIS_ACT.{name}-SC_STOP.{name})>SC_NEAR THEN", "   RETURN FALSE", "ENDIF")
+    yield from ("RETURN TRUE", "ENDFCT")
 
 
 def _sweep(program: Program, sweep: Sweep, speed_factor: float) -> Iterator[str]:

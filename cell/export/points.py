@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
-from cell.files import atomic_write
+from cell.files import atomic_write, file_errors
 from cell.metrology import scan_files
 from cell.metrology.scan_files import PosedScan
 from cell.runs import ply
@@ -68,11 +68,8 @@ def write_points(run_folder: Path, out: Path, execution: str = "latest") -> int:
             else:
                 path.write_bytes(_table(scans, kind))
 
-    try:
-        with atomic_write(out) as part:
-            write(part)
-    except OSError as error:
-        raise FileError(f"{out} cannot be written: {error.strerror or error}") from error
+    with file_errors(f"{out} cannot be written"), atomic_write(out) as part:
+        write(part)
     return count
 
 

@@ -13,7 +13,7 @@ to the stop position. Before each trigger every axis must be within `scNear` of 
 from collections.abc import Iterator, Sequence
 
 from cell.export.program import AT_STOP_DEG, Program, ProgramSettings, Sweep, angles_deg
-from cell.export.text import encoded
+from cell.export.text import encoded, fixed_lines
 from planner.ports import ARM_AXES
 from planner.values import Floats
 
@@ -58,7 +58,7 @@ def _module(name: str, programs: Sequence[Program], settings: Sequence[ProgramSe
         yield "  ENDPROC"
     for program, program_settings in zip(programs, settings, strict=True):
         yield from _routine(program, program.time_factor(program_settings))
-    yield from _ROUTINES
+    yield from fixed_lines("rapid.mod")
     places = [f"robax.rax_{axis + 1}" for axis in range(ARM_AXES)] + ["extax.eax_a"] * (n_axes - ARM_AXES)
     for place in places:
         yield f"    IF Abs(scNow.{place}-scStop.{place})>scNear THEN"
@@ -119,56 +119,3 @@ def _jointtarget(q: Floats) -> str:
     angles = [f"{angle:.4f}" for angle in angles_deg(q)]
     external = angles[ARM_AXES:] + [_UNUSED_AXIS] * (_N_EXTERNAL_AXES - len(angles) + ARM_AXES)
     return f"[[{','.join(angles[:ARM_AXES])}],[{','.join(external)}]]"
-
-
-_ROUTINES = r"""
-
-  ! scan a view at rest; after a time-out stop, and repeat the scan on Start
-  PROC scScan(num number)
-    scScanned:=FALSE;
-    WHILE NOT scScanned DO
-      scBegin number;
-      scEnd;
-    ENDWHILE
-  ENDPROC
-
-  ! settle, wait until the answer to the previous view is gone, trigger
-  PROC scBegin(num number)
-    WaitTime scSettle;
-    scView:=number;
-    WaitDI scDone,0\MaxTime:=scTimeout\TimeFlag:=scLate;
-    WHILE scLate DO
-      TPWrite "scan-cell: scDone is still on from the previous view";
-      Stop\NoRegain;
-      WaitDI scDone,0\MaxTime:=scTimeout\TimeFlag:=scLate;
-    ENDWHILE
-    scStand;
-    SetDO scTrigger,1;
-  ENDPROC
-
-  ! wait for the scanner and reset the trigger; scScanned is TRUE if it answered in time
-  PROC scEnd()
-    WaitDI scDone,1\MaxTime:=scTimeout\TimeFlag:=scLate;
-    scScanned:=NOT scLate;
-    SetDO scTrigger,0;
-    IF scLate THEN
-      TPWrite "scan-cell: time-out, no answer at view "\Num:=scView;
-      Stop\NoRegain;
-      scStand;
-    ENDIF
-  ENDPROC
-
-  ! continue only from the end of the last motion: from elsewhere no path was checked
-  PROC scStand()
-    WHILE NOT scAtStop() DO
-      TPWrite "scan-cell: the arm is not at its last stop; jog it there, then start";
-      Stop\NoRegain;
-      WaitTime scSettle;
-    ENDWHILE
-  ENDPROC
-
-  ! TRUE if every axis is within scNear of the last stop
-  FUNC bool scAtStop()
-    VAR jointtarget scNow;
-    scNow:=CJointT();
-"""[1:-1].split("\n")  # fmt: skip

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 
 from cell.errors import UsageError
 from cell.export.program import AT_STOP_DEG, Program, ProgramSettings, Sweep, angles_deg
-from cell.export.text import encoded
+from cell.export.text import encoded, fixed_lines
 from planner.ports import ARM_AXES
 from planner.values import Floats
 
@@ -53,7 +53,7 @@ def _script(name: str, programs: Sequence[Program], settings: Sequence[ProgramSe
     yield "  global sc_view = 0"
     yield "  global sc_scanned = False"
     yield f"  global sc_stop = {_joints(programs[0].q[0])}"
-    yield from _FUNCTIONS
+    yield from fixed_lines("urscript.script")
     yield "  set_standard_digital_out(sc_trigger, False)"
     if any(program.sweeps for program in programs):
         yield "  set_standard_digital_out(sc_gate, False)"
@@ -109,70 +109,3 @@ def _sweep(program: Program, sweep: Sweep, factor: float) -> Iterator[str]:
 def _joints(q: Floats) -> str:
     """Return (6,) joint angles [rad] as a list."""
     return "[" + ", ".join(f"d2r({angle:.4f})" for angle in angles_deg(q)) + "]"
-
-
-_FUNCTIONS = """
-  # TRUE if every joint is within sc_near of the last stop
-  def sc_at_stop():
-    local now = get_actual_joint_positions()
-    local joint = 0
-    while joint < 6:
-      if norm(now[joint] - sc_stop[joint]) > sc_near:
-        return False
-      end
-      joint = joint + 1
-    end
-    return True
-  end
-
-  # continue only from the end of the last motion: from elsewhere no path was checked
-  def sc_stand():
-    while not sc_at_stop():
-      popup("The arm is not at its last stop. Move it there, then continue.", "scan-cell", True, False, True)
-      sleep(sc_settle)
-    end
-  end
-
-  # wait until the scanner's input has a level; False after the time-out
-  def sc_wait(level):
-    local waited = 0.0
-    while get_standard_digital_in(sc_done) != level:
-      if waited > sc_timeout:
-        return False
-      end
-      sleep(0.01)
-      waited = waited + 0.01
-    end
-    return True
-  end
-
-  # settle, wait until the answer to the previous view is gone, trigger
-  def sc_begin(number):
-    sleep(sc_settle)
-    sc_view = number
-    while not sc_wait(False):
-      popup("The scanner did not reset its answer to the previous view.", "scan-cell", True, False, True)
-    end
-    sc_stand()
-    set_standard_digital_out(sc_trigger, True)
-  end
-
-  # wait for the scanner and reset the trigger; sc_scanned is True if it answered in time
-  def sc_end():
-    sc_scanned = sc_wait(True)
-    set_standard_digital_out(sc_trigger, False)
-    if not sc_scanned:
-      popup("Time-out: the scanner did not answer. Continue repeats the scan.", "scan-cell", True, False, True)
-      sc_stand()
-    end
-  end
-
-  # scan a view at rest; after a time-out halt, and repeat the scan
-  def sc_scan(number):
-    sc_scanned = False
-    while not sc_scanned:
-      sc_begin(number)
-      sc_end()
-    end
-  end
-""".strip("\n").split("\n")  # fmt: skip

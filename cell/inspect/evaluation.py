@@ -35,7 +35,6 @@ _SECTIONS = 5  # cross-sections of roundness and runout
 _LINES = 8  # of the straightness of a cylinder or cone
 _ZONES = 16  # drawn errors whose minimum zones are evaluated
 _SHARE = 0.05  # smallest measured share of a feature with a value
-_AXIAL = ("cylinder", "cone", "circle")
 
 
 class Verdict(StrEnum):
@@ -188,18 +187,18 @@ class Evaluation:
 
     def values(self) -> list[float]:
         """Return the values of all characteristics without uncertainties [mm or deg]; NaN without a value."""
-        found = []
+        numbers = []
         for each in self.plan.characteristics:
             value = np.nan
             if not self._causes(each):
                 model = self._model(each)
                 value = model.value(model.components(self._shapes(each)))
-            found.append((1000.0 if each.unit == "mm" else float(np.degrees(1.0))) * value)
-        return found
+            numbers.append((1000.0 if each.unit == "mm" else float(np.degrees(1.0))) * value)
+        return numbers
 
     def _causes(self, characteristic: Characteristic) -> list[str]:
         """Return the reasons why a characteristic has no value."""
-        found = []
+        causes = []
         for feature in self.plan.features_of(characteristic):
             measured = self.features[feature.name]
             own = list(measured.doubts)
@@ -216,14 +215,14 @@ class Evaluation:
                             f"its points lie on one side of it, or on opposite sides of its ends, and its "
                             f"{characteristic.criterion} diameter needs them all around"
                         )
-            found += [f"{feature.name}: {cause}" for cause in own]
-        return found
+            causes += [f"{feature.name}: {cause}" for cause in own]
+        return causes
 
     # Errors
 
     def _slopes(self, model: _Model, shapes: Shapes, g: Floats) -> dict[tuple[str, int], Floats]:
         """Return the derivative (m, 7) of the components by the changes of each shape."""
-        found = {}
+        slopes = {}
         for key, shape in shapes.items():
             J = np.zeros((len(g), N_COMPONENTS))
             used = PARAMETERS[ShapeKind.CYLINDER if shape.kind is ShapeKind.CIRCLE else shape.kind]
@@ -232,8 +231,8 @@ class Evaluation:
                 change[component] = _DIFFERENCE
                 low, high = (model.components({**shapes, key: shape.changed(step)}) for step in (-change, change))
                 J[:, component] = (high - low) / (2 * _DIFFERENCE)
-            found[key] = J
-        return found
+            slopes[key] = J
+        return slopes
 
     def _weak_features(self, c: Characteristic, slopes: Mapping[tuple[str, int], Floats]) -> Iterator[str]:
         """Yield a sentence for each feature whose points do not average in a value, but are amplified."""
@@ -250,14 +249,14 @@ class Evaluation:
         # Draws of as few independent errors as there are components.
         root = np.linalg.qr(gain.T, mode="r")
         rng = np.random.default_rng([self.seed, len(root)])
-        drawn = rng.standard_normal((DRAWS, len(root))) @ root
+        draws = rng.standard_normal((DRAWS, len(root))) @ root
         scale = 1.0
         if model.zone is not None:  # the minimum zone of errors is narrower than their range
-            some = drawn[:_ZONES]
+            some = draws[:_ZONES]
             scale = float(np.mean([model.zone(each) for each in some]) / model.reduce(some).mean())
-        spread = 2 * float(model.reduce(g + drawn).std())
+        spread = 2 * float(model.reduce(g + draws).std())
         # Errors alone make a zone or an offset from zero; the measured one contains its own already.
-        return max(spread, scale * float(np.quantile(np.abs(model.reduce(drawn)), _LEVEL)))
+        return max(spread, scale * float(np.quantile(np.abs(model.reduce(draws)), _LEVEL)))
 
     def _gain(
         self, model: _Model, slopes: Mapping[tuple[str, int], Floats], g: Floats
@@ -283,18 +282,18 @@ class Evaluation:
 
     def _noise(self, model: _Model, slopes: Mapping[tuple[str, int], Floats]) -> dict[tuple[str, int], Floats]:
         """Return the change (m, K) of the components by errors of unit variance of the points of each patch."""
-        found, start = {}, 0
+        noise, start = {}, 0
         for key, J in slopes.items():
             cells = self._cells(key)
             if key not in model.cells:
-                found[key] = J @ cells.shape_noise
+                noise[key] = J @ cells.shape_noise
                 continue
             # The errors of the cells and of the shape through them are the same.
             dense, own = np.flatnonzero(cells.is_dense), J @ cells.gain
             own[start + np.arange(len(dense)), dense] += 1.0
-            found[key] = own * cells.noise
+            noise[key] = own * cells.noise
             start += len(dense)
-        return found
+        return noise
 
     # Shapes
 
@@ -321,10 +320,11 @@ class Evaluation:
     def _datum(self, datum: str, shapes: Shapes | None) -> Shape:
         """Return the measured (or, for None, nominal) plane, axis or point of a datum; A-B is a common one."""
         names = [feature.name for feature in self.plan.datum_features(datum)]
-        found = [self._element(name, shapes) for name in names]
-        if len(found) == 1:
-            return found[0]
-        return common_element(self._nominal((names[0], 0)), found, [self._patch((name, 0)).corners for name in names])
+        elements = [self._element(name, shapes) for name in names]
+        if len(elements) == 1:
+            return elements[0]
+        corners = [self._patch((name, 0)).corners for name in names]
+        return common_element(self._nominal((names[0], 0)), elements, corners)
 
     def _element(self, name: str, shapes: Shapes | None) -> Shape:
         """Return the measured (or, for None, nominal) element of a feature: of a width the middle plane."""
@@ -339,11 +339,11 @@ class Evaluation:
     def _middle(self, name: str, shapes: Shapes | None) -> Shape:
         """Return the middle plane of a width, with the normal of its first plane."""
         nominal = [self._nominal((name, k)) for k in range(2)]
-        found = nominal if shapes is None else [shapes[name, k] for k in range(2)]
+        planes = nominal if shapes is None else [shapes[name, k] for k in range(2)]
         sign = 1.0 if float(nominal[0].axis @ nominal[1].axis) >= 0 else -1.0
-        axis = found[0].axis + sign * found[1].axis
+        axis = planes[0].axis + sign * planes[1].axis
         axis /= np.linalg.norm(axis)
-        points = [each.at_foot(at.point).point for each, at in zip(found, nominal, strict=True)]
+        points = [each.at_foot(at.point).point for each, at in zip(planes, nominal, strict=True)]
         return Shape(ShapeKind.PLANE, (points[0] + points[1]) / 2, axis)
 
     def frame(self, datums: Sequence[str], shapes: Shapes) -> Floats:
@@ -393,8 +393,8 @@ class Evaluation:
         other = (c.feature, 1) if c.to is None else (c.to, 0)
         one, two = self._nominal(own), self._nominal(other)
         if c.kind == "angle":
-            drawn = np.degrees(np.arccos(np.clip(one.axis @ two.axis, -1, 1)))
-            sign = -1.0 if abs(180 - drawn - c.nominal) < abs(drawn - c.nominal) else 1.0
+            nominal_deg = np.degrees(np.arccos(np.clip(one.axis @ two.axis, -1, 1)))
+            sign = -1.0 if abs(180 - nominal_deg - c.nominal) < abs(nominal_deg - c.nominal) else 1.0
 
             def angle(s: Shapes) -> Floats:
                 return np.array([np.arccos(np.clip(sign * s[own].axis @ s[other].axis, -1, 1))])
@@ -457,19 +457,19 @@ class Evaluation:
                 corners = corners - ((corners - middle.point) @ middle.axis)[:, None] * middle.axis
 
             def offsets(s: Shapes) -> Floats:
-                there = moved(self._element(c.feature, s), self.frame(c.datums, s))
-                return np.asarray((there.point - corners) @ there.axis / (middle.axis @ there.axis))
+                element = moved(self._element(c.feature, s), self.frame(c.datums, s))
+                return np.asarray((element.point - corners) @ element.axis / (middle.axis @ element.axis))
 
             return _Model(offsets, _twice_largest, f"least-squares {'middle plane' if kind == 'width' else kind}")
 
         def ends(s: Shapes) -> Floats:
-            there = moved(s[own], self.frame(c.datums, s))
+            element = moved(s[own], self.frame(c.datums, s))
             if kind in ("sphere", "circle"):
-                off = there.point - nominal.point
+                off = element.point - nominal.point
                 return np.asarray(off if kind == "sphere" else off - (off @ nominal.axis) * nominal.axis)
-            off = there.point - corners
-            along = (off @ nominal.axis) / (there.axis @ nominal.axis)
-            return np.asarray((off - along[:, None] * there.axis).ravel())
+            off = element.point - corners
+            along = (off @ nominal.axis) / (element.axis @ nominal.axis)
+            return np.asarray((off - along[:, None] * element.axis).ravel())
 
         where = "centre" if kind in ("sphere", "circle") else "axis at its ends"
         return _Model(ends, _twice_longest, f"least-squares {kind}, {where}")
@@ -569,9 +569,9 @@ def _shares(gain: Floats, source: NDArray[np.str_]) -> tuple[dict[str, float], f
         source: (K,) feature of each error; "" of pose errors.
     """
     variance = (gain**2).sum(axis=0)
-    found = {str(name): float(variance[source == name].sum()) for name in np.unique(source)}
-    poses, points = found.pop("", 0.0), sum(found.values())
-    shares = {name: each / points for name, each in found.items()} if points > 0 else {}
+    by_feature = {str(name): float(variance[source == name].sum()) for name in np.unique(source)}
+    poses, points = by_feature.pop("", 0.0), sum(by_feature.values())
+    shares = {name: each / points for name, each in by_feature.items()} if points > 0 else {}
     return shares, poses / (points + poses) if poses > 0 else 0.0
 
 

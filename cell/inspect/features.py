@@ -197,16 +197,16 @@ def resolve_features(
         raise SceneError(f"features are CAD faces, and {part.name} is a mesh, which has none; give the part as STEP")
     features = tuple(_feature(part, part.cad, table) for table in tables)
     named = {each.name: each for each in features}
-    found: list[Characteristic] = []
+    characteristics: list[Characteristic] = []
     for table in tables:
         for each in table.characteristic:
             try:
-                found.append(_characteristic(len(found) + 1, table, each, named))
+                characteristics.append(_characteristic(len(characteristics) + 1, table, each, named))
             except SceneError as error:
                 if unsupported is None:
                     raise
                 unsupported.append(str(error))
-    return features, tuple(found)
+    return features, tuple(characteristics)
 
 
 def _feature(part: Workpiece, cad: CadModel, table: FeatureTable) -> Feature:
@@ -221,11 +221,8 @@ def _feature(part: Workpiece, cad: CadModel, table: FeatureTable) -> Feature:
     default = kinds[0] if len(kinds) == 1 and kinds[0] != "mesh" else "width" if _is_width(patches) else "surface"
     kind = table.kind or default
     expected = {"width": "two parallel or opposite planes", "circle": "the faces of one cylinder"}
-    fits = {
-        "surface": True,
-        "width": kinds == ["plane", "plane"],
-        "circle": kinds == ["cylinder"],
-    }.get(kind, kinds == [kind])
+    special = {"surface": True, "width": kinds == ["plane", "plane"], "circle": kinds == ["cylinder"]}
+    fits = special.get(kind, kinds == [kind])
     if not fits:
         raise SceneError(
             f"the feature '{table.name}' is a {kind}, which needs {expected.get(kind, f'the faces of one {kind}')}; "
@@ -353,12 +350,12 @@ _SUITABLE: dict[str, tuple[str, ...]] = {
 }
 
 
-def _require_suitable(where: str, given: CharacteristicTable, feature: Feature) -> None:
-    if feature.kind not in _SUITABLE[given.kind]:
-        raise SceneError(f"{where} is not defined for a {feature.kind}; possible: {', '.join(_SUITABLE[given.kind])}")
-    if given.criterion != "least-squares" and (given.kind != "size" or feature.kind in ("cone", "width")):
-        raise SceneError(f"{where} has the criterion {given.criterion}, which only diameters have")
-    if given.kind == "angle" and given.to is None and feature.kind != "width":
+def _require_suitable(where: str, table: CharacteristicTable, feature: Feature) -> None:
+    if feature.kind not in _SUITABLE[table.kind]:
+        raise SceneError(f"{where} is not defined for a {feature.kind}; possible: {', '.join(_SUITABLE[table.kind])}")
+    if table.criterion != "least-squares" and (table.kind != "size" or feature.kind in ("cone", "width")):
+        raise SceneError(f"{where} has the criterion {table.criterion}, which only diameters have")
+    if table.kind == "angle" and table.to is None and feature.kind != "width":
         raise SceneError(f"{where} needs the name of another feature as 'to'")
 
 
@@ -380,15 +377,15 @@ def _require_common(where: str, datum: str, features: Sequence[Feature]) -> None
         )
 
 
-def _nominal_value(given: CharacteristicTable, feature: Feature, other: Feature | None) -> float:
+def _nominal_value(table: CharacteristicTable, feature: Feature, other: Feature | None) -> float:
     """Return the value on the nominal part [mm, deg]."""
     first = feature.patches[0]
-    if given.kind == "size" and feature.kind == "cone":
+    if table.kind == "size" and feature.kind == "cone":
         return 2 * first.half_angle_deg
-    if given.kind == "size" and feature.kind != "width":
+    if table.kind == "size" and feature.kind != "width":
         return 2 * first.radius_mm
     second = feature.patches[1] if other is None else other.patches[0]
-    if given.kind == "angle":
+    if table.kind == "angle":
         return float(np.degrees(np.arccos(np.clip(np.dot(first.axis, second.axis), -1, 1))))
     off = np.array(second.point_mm) - np.array(first.point_mm)
     return distance_between(off, first.kind, np.array(first.axis), second.kind, np.array(second.axis))

@@ -92,11 +92,11 @@ def with_feature_regions(scene: Scene, part: Workpiece) -> tuple[Scene, str]:
     if scene.region or has_request or options.pose_sd_mm or options.pose_sd_deg:
         reason = "the scene has regions" if scene.region else "they exclude overlap, pose errors, max_views and rays"
         return scene, f"features have no coverage target of their own: {reason}"
-    taken: set[int] = set()
+    used_faces: set[int] = set()
     regions = []
     for feature in plan.features:
-        if faces := tuple(face for face in feature.faces if face not in taken):
-            taken |= set(faces)
+        if faces := tuple(face for face in feature.faces if face not in used_faces):
+            used_faces |= set(faces)
             regions.append(Region(name=feature.name[:60].strip(), faces=faces, coverage=scene.inspection.share))
     return scene.model_copy(update={"region": tuple(regions)}), ""
 
@@ -160,7 +160,7 @@ def inspect_points(
     source: str,
     is_simulated: bool,
     on_reference: bool = False,
-    aligned: str = "",
+    alignment: str = "",
     T_located: Floats | None = None,
     notes: tuple[str, ...] = (),
 ) -> Inspected:
@@ -174,7 +174,7 @@ def inspect_points(
         source: of the points, in words.
         is_simulated: whether they are simulated.
         on_reference: whether they were simulated on the triangles of the reference; these approximate its surfaces.
-        aligned: alignment that the points have already, in words.
+        alignment: alignment that the points have already, in words.
         T_located: (4, 4) motion of the points to the part that was made before; None: none.
         notes: for the results.
     """
@@ -184,14 +184,12 @@ def inspect_points(
     T, words = align(plan, association, measured.points)
     if not np.array_equal(T, np.eye(4)):
         measured = replace(
-            measured,
-            points=transform_points(T, measured.points),
-            origins=transform_points(T, measured.origins),
+            measured, points=transform_points(T, measured.points), origins=transform_points(T, measured.origins)
         )
     features = measure_features(association, measured)
     measurements = Evaluation(plan, features, association.nearest, measured.pose_sd).measure_all()
     result = inspection_result(
-        plan, measurements, features, part=part, source=source, alignment="; ".join(filter(None, [aligned, words])),
+        plan, measurements, features, part=part, source=source, alignment="; ".join(filter(None, [alignment, words])),
         is_simulated=is_simulated, T_part_points=T if T_located is None else T @ T_located, notes=notes,
     )  # fmt: skip
     return Inspected(result, features, plan, reference)
@@ -204,24 +202,22 @@ def align(plan: InspectionPlan, association: Association, points: Floats) -> tup
     if plan.alignment == "none" or not len(points):
         return np.eye(4), f"points as given{datums}"
     if plan.alignment == "best-fit":
-        chosen = points[np.linspace(0, len(points) - 1, min(len(points), _FIT_POINTS)).astype(np.int64)]
-        normals = association.nearest.normals(association.nearest.closest(chosen))
-        cloud = PointCloud(chosen, normals, np.zeros(len(chosen), dtype=np.int32))
-        found = register([cloud], association.nearest).scans[0]
-        if not found.is_corrected:
-            return found.T_correction, f"best fit of all points, not applied: {found.status.value}{datums}"
+        sample = points[np.linspace(0, len(points) - 1, min(len(points), _FIT_POINTS)).astype(np.int64)]
+        normals = association.nearest.normals(association.nearest.closest(sample))
+        cloud = PointCloud(sample, normals, np.zeros(len(sample), dtype=np.int32))
+        scan = register([cloud], association.nearest).scans[0]
+        if not scan.is_corrected:
+            return scan.T_correction, f"best fit of all points, not applied: {scan.status.value}{datums}"
         reach = association.plan.reach_mm / 1000
-        return fit_majority(chosen, association.nearest, found.T_correction, reach), f"best fit of most points{datums}"
+        return fit_majority(sample, association.nearest, scan.T_correction, reach), f"best fit of most points{datums}"
     nominal = np.array([point for point, _, _ in plan.rps]) / 1000
     directions = np.array([direction for _, direction, _ in plan.rps], dtype=np.float64)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     weights, T = np.array([weight for _, _, weight in plan.rps]), np.eye(4)
     for _ in range(3):  # other points are nearest after each step
-        there = transform_points(T, points)
-        rows: Ints = np.asarray(cKDTree(there).query(nominal, min(_RPS_POINTS, len(there)))[1]).reshape(
-            len(nominal), -1
-        )
-        near = there[rows]
+        points_on_part = transform_points(T, points)
+        rows: Ints = np.asarray(cKDTree(points_on_part).query(nominal, min(_RPS_POINTS, len(points)))[1])
+        near = points_on_part[rows.reshape(len(nominal), -1)]
         normals = association.nearest.normals(association.nearest.closest(near.mean(axis=1)))
         step, left = fit_reference_points(nominal, directions, weights, near.mean(axis=1), normals)
         T = step @ T
@@ -262,7 +258,7 @@ def _with_setups(
     """Return a predicted measurement with a cause if no set-up measures all its features."""
     names = [feature.name for feature in plan.features_of(measurement.characteristic)]
     measuring = {
-        name: [k for k, found in enumerate(setups, 1) if all(p.is_measured for p in found[name].patches)]
+        name: [k for k, features in enumerate(setups, 1) if all(p.is_measured for p in features[name].patches)]
         for name in names
     }
     if measurement.value is None or set.intersection(*map(set, measuring.values())):

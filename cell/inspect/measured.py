@@ -178,13 +178,13 @@ class Association:
         """Return the rows of points (N, 3) that lie on each patch of each feature, away from its edges."""
         closest = self.nearest.closest(points)
         near = closest.distance <= self.plan.reach_mm / 1000
-        found: dict[str, list[Ints]] = {}
+        rows_of_feature: dict[str, list[Ints]] = {}
         for name, surfaces in self.surfaces.items():
-            found[name] = []
+            rows_of_feature[name] = []
             for surface in surfaces:
                 own = np.flatnonzero(near & np.isin(closest.face, surface.triangles))
-                found[name].append(own[self.off_edge(surface, closest.point[own])])
-        return found
+                rows_of_feature[name].append(own[self.off_edge(surface, closest.point[own])])
+        return rows_of_feature
 
     def off_edge(self, surface: PatchSurface, points: Floats) -> Bools:
         """Return whether points (N, 3) of a patch are away from its edges."""
@@ -195,15 +195,15 @@ class Association:
 
     def without_facets(self, points: Floats) -> Floats:
         """Return points (N, 3) on the triangles of the reference moved to the surfaces that these approximate."""
-        closest, found = self.nearest.closest(points), points.copy()
+        closest, smooth_points = self.nearest.closest(points), points.copy()
         for feature in self.plan.features:
             for patch, surface in zip(feature.patches, self.surfaces[feature.name], strict=True):
                 shape = patch.shape
                 if shape is not None and shape.kind is not ShapeKind.PLANE:
                     own = np.flatnonzero(np.isin(closest.face, surface.triangles))
                     foot = closest.point[own]
-                    found[own] = points[own] - shape.distances(foot)[:, None] * shape.normals(foot)
-        return found
+                    smooth_points[own] = points[own] - shape.distances(foot)[:, None] * shape.normals(foot)
+        return smooth_points
 
     def corners(self, patch: Patch, surface: PatchSurface) -> Floats:
         """Return the ends (2, 3) of the axis of a patch, or the corners (4, 3) of a plane's bounding rectangle [m]."""
@@ -269,54 +269,55 @@ def measure_patch(
         share = _share(association, surface, measured.points[rows])
         return MeasuredPatch(patch, nominal, cells, corners, len(rows), count - len(rows), share, sigma, area=area)
     weight = measured.weight
-    found = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
-    keep = _inliers(found.residuals)
+    patch_fit = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
+    keep = _inliers(patch_fit.residuals)
     if not keep.all() and keep.sum() >= needed:
         rows = rows[keep]
-        found = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
-    normals = found.shape.normals(measured.points[rows]) if feature.kind != "circle" else _radial(found, measured, rows)
-    gain = np.einsum("knj,nj->kn", found.gain, normals)
-    cells = _cells(measured, rows, found.shape, normals, found.residuals, gain, area, found.sigma)
+        patch_fit = fit_patch(feature, shape, measured.points[rows], None if weight is None else weight[rows])
+    is_circle = feature.kind == "circle"
+    normals = _radial(patch_fit, measured, rows) if is_circle else patch_fit.shape.normals(measured.points[rows])
+    gain = np.einsum("knj,nj->kn", patch_fit.gain, normals)
+    cells = _cells(measured, rows, patch_fit.shape, normals, patch_fit.residuals, gain, area, patch_fit.sigma)
     share = _share(association, surface, measured.points[rows])
     return MeasuredPatch(
-        patch, found.shape, cells, corners, len(rows), count - len(rows), share, found.sigma,
-        found.doubts, area=area,
+        patch, patch_fit.shape, cells, corners, len(rows), count - len(rows), share, patch_fit.sigma,
+        patch_fit.doubts, area=area,
     )  # fmt: skip
 
 
 def fit_patch(feature: Feature, nominal: Shape, points: Floats, weights: Floats | None = None) -> Fit:
     """Fit the shape of a patch; its axis points as the nominal one. A circle is a cylinder with the nominal axis."""
     if feature.kind != "circle":
-        found = fit(nominal.kind, points, nominal, weights)
-        turned = nominal.kind is ShapeKind.CYLINDER and float(found.shape.axis @ nominal.axis) < 0
-        return replace_axis(found) if turned else found
+        patch_fit = fit(nominal.kind, points, nominal, weights)
+        turned = nominal.kind is ShapeKind.CYLINDER and float(patch_fit.shape.axis @ nominal.axis) < 0
+        return replace_axis(patch_fit) if turned else patch_fit
     along = (points - nominal.point) @ nominal.axis
     flat = points - along[:, None] * nominal.axis
-    found = fit(ShapeKind.CIRCLE, flat, Shape(ShapeKind.CIRCLE, nominal.point, nominal.axis, nominal.size), weights)
-    residuals = np.linalg.norm(flat - found.shape.point, axis=1) - found.shape.size
+    patch_fit = fit(ShapeKind.CIRCLE, flat, Shape(ShapeKind.CIRCLE, nominal.point, nominal.axis, nominal.size), weights)
+    residuals = np.linalg.norm(flat - patch_fit.shape.point, axis=1) - patch_fit.shape.size
     across = np.eye(3) - np.outer(nominal.axis, nominal.axis)
-    shape = Shape(ShapeKind.CIRCLE, found.shape.point, nominal.axis, found.shape.size)
+    shape = Shape(ShapeKind.CIRCLE, patch_fit.shape.point, nominal.axis, patch_fit.shape.size)
     # The frame of a circle depends on its axis alone, which the projection makes the nominal one.
-    turn = shape.frame.T @ found.frame
-    gain = found.gain @ across
+    turn = shape.frame.T @ patch_fit.frame
+    gain = patch_fit.gain @ across
     gain[:2] = np.einsum("ij,jnk->ink", turn[:2, :2], gain[:2])
     gain[2:5] = 0.0
-    return Fit(shape, shape.frame, residuals, gain, found.condition, found.doubts)
+    return Fit(shape, shape.frame, residuals, gain, patch_fit.condition, patch_fit.doubts)
 
 
-def replace_axis(found: Fit) -> Fit:
+def replace_axis(patch_fit: Fit) -> Fit:
     """Return the same fit of a cylinder with its axis reversed."""
-    shape = Shape(found.shape.kind, found.shape.point, -found.shape.axis, found.shape.size)
-    turn = shape.frame.T @ found.frame
-    gain = found.gain.copy()
-    gain[:3] = np.einsum("ij,jnk->ink", turn, found.gain[:3])
-    gain[3:5] = -np.einsum("ij,jnk->ink", turn[:2, :2], found.gain[3:5])
-    return replace(found, shape=shape, frame=shape.frame, gain=gain)
+    shape = Shape(patch_fit.shape.kind, patch_fit.shape.point, -patch_fit.shape.axis, patch_fit.shape.size)
+    turn = shape.frame.T @ patch_fit.frame
+    gain = patch_fit.gain.copy()
+    gain[:3] = np.einsum("ij,jnk->ink", turn, patch_fit.gain[:3])
+    gain[3:5] = -np.einsum("ij,jnk->ink", turn[:2, :2], patch_fit.gain[3:5])
+    return replace(patch_fit, shape=shape, frame=shape.frame, gain=gain)
 
 
-def _radial(found: Fit, measured: MeasuredPoints, rows: Ints) -> Floats:
-    off = measured.points[rows] - found.shape.point
-    off = off - (off @ found.shape.axis)[:, None] * found.shape.axis
+def _radial(patch_fit: Fit, measured: MeasuredPoints, rows: Ints) -> Floats:
+    off = measured.points[rows] - patch_fit.shape.point
+    off = off - (off @ patch_fit.shape.axis)[:, None] * patch_fit.shape.axis
     return np.asarray(off / np.maximum(np.linalg.norm(off, axis=1), np.finfo(float).tiny)[:, None])
 
 

@@ -70,20 +70,20 @@ def features_page(
 
 def _feature_of_triangle(mesh: TriangleMesh, plan: InspectionPlan) -> Ints:
     """Return the number of the feature of each triangle from 0; -1 for other surface. The first one counts."""
-    found = np.full(len(mesh.faces), -1, dtype=np.int64)
+    numbers = np.full(len(mesh.faces), -1, dtype=np.int64)
     for number, feature in reversed(list(enumerate(plan.features))):
         for patch in feature.patches:
-            found[np.array(patch.triangles, dtype=np.int64)] = number
-    return found
+            numbers[np.array(patch.triangles, dtype=np.int64)] = number
+    return numbers
 
 
 def _verdicts(plan: InspectionPlan, result: InspectionResult | None) -> list[str]:
     """Return the worst verdict of the characteristics of each feature."""
-    found = []
+    verdicts = []
     for feature in plan.features:
         own = {each.verdict for each in (result.characteristics if result else ()) if each.feature == feature.name}
-        found.append(next((verdict for verdict in _WORST_FIRST if verdict in own), "no tolerance"))
-    return found
+        verdicts.append(next((verdict for verdict in _WORST_FIRST if verdict in own), "no tolerance"))
+    return verdicts
 
 
 def _deviations(
@@ -92,7 +92,7 @@ def _deviations(
     """Return the deviation of the nearest cell of each vertex [mm]; NaN outside measured features."""
     from scipy.spatial import cKDTree
 
-    found = np.full(len(mesh.vertices), np.nan)
+    deviations = np.full(len(mesh.vertices), np.nan)
     for number, feature in enumerate(plan.features, 1):
         cells = [
             patch for patch in measured[feature.name].patches if patch.cells is not None and patch.shape is not None
@@ -102,8 +102,8 @@ def _deviations(
             continue
         points = np.concatenate([patch.cells.points for patch in cells if patch.cells is not None])
         off = np.concatenate([patch.deviations for patch in cells])
-        found[own] = 1000 * off[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
-    return found
+        deviations[own] = 1000 * off[np.asarray(cKDTree(points).query(mesh.vertices[own])[1])]
+    return deviations
 
 
 def report_pdf(path: Path, picture: Path, result: InspectionResult) -> None:

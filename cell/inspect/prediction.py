@@ -96,14 +96,14 @@ class PlannedViews:
 
 def predict_features(association: Association, setups: Sequence[PlannedViews]) -> dict[str, MeasuredFeature]:
     """Return the features with the cells that the views of one or several set-ups yield."""
-    densities, found, rng = [PointDensity(each.scanner) for each in setups], {}, np.random.default_rng(_SEED)
+    densities, features, rng = [PointDensity(each.scanner) for each in setups], {}, np.random.default_rng(_SEED)
     for feature in association.plan.features:
         patches = [
             _predict_patch(association, feature, patch, surface, setups, densities, rng)
             for patch, surface in zip(feature.patches, association.surfaces[feature.name], strict=True)
         ]
-        found[feature.name] = MeasuredFeature(feature, tuple(patches))
-    return found
+        features[feature.name] = MeasuredFeature(feature, tuple(patches))
+    return features
 
 
 def _predict_patch(
@@ -111,13 +111,13 @@ def _predict_patch(
     densities: Sequence[PointDensity], rng: np.random.Generator,
 ) -> MeasuredPatch:  # fmt: skip
     own = TriangleMesh(association.reference.vertices, association.reference.faces[surface.triangles])
-    drawn = draw_samples(own, own, _DRAWN, rng)
-    area = float(drawn.areas[0])
-    drawn = pick_samples(drawn, association.off_edge(surface, drawn.points))
-    size = float(np.sqrt(area * len(drawn) / _NODES))
+    samples = draw_samples(own, own, _DRAWN, rng)
+    area = float(samples.areas[0])
+    samples = pick_samples(samples, association.off_edge(surface, samples.points))
+    size = float(np.sqrt(area * len(samples) / _NODES))
     frame = patch.shape or Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
-    cell, rows, _ = cells_of_points(drawn.points, frame, size)
-    nodes = replace(pick_samples(drawn, rows), areas=(area * np.bincount(cell)).astype(np.float64))
+    cell, rows, _ = cells_of_points(samples.points, frame, size)
+    nodes = replace(pick_samples(samples, rows), areas=(area * np.bincount(cell)).astype(np.float64))
     yields = [_yield(nodes, each, density) for each, density in zip(setups, densities, strict=True)]
     count, variance = (np.hstack(each) for each in zip(*yields, strict=True))
     weight = nodes.areas[:, None] * count
@@ -134,11 +134,11 @@ def _predict_patch(
     measured = MeasuredPoints(
         points[row], np.sqrt(variance[row, view]), view, origins, np.zeros((len(origins), 2)), weight[row, view]
     )
-    found = measure_patch(association, feature, patch, surface, np.arange(len(row)), measured)
+    prediction = measure_patch(association, feature, patch, surface, np.arange(len(row)), measured)
     share = float(nodes.areas[seen].sum() / nodes.areas.sum())
     missed = tuple(_missed_demands(patch.shape, nodes.points, seen, share))
     mean_views = float((count[seen] > 0).sum(axis=1).mean())
-    return replace(found, n_points=int(weight.sum()), share=share, missed=missed, mean_views=mean_views)
+    return replace(prediction, n_points=int(weight.sum()), share=share, missed=missed, mean_views=mean_views)
 
 
 def _yield(samples: SurfaceSamples, views: PlannedViews, density: PointDensity) -> tuple[Floats, Floats]:
@@ -165,7 +165,7 @@ def predicted_measurements(
 ) -> list[Measurement]:
     """Return the measurements with predicted uncertainties; a demand that is not met is the cause of a missing one."""
     evaluation = Evaluation(plan, features, association.nearest, pose_sd)
-    found = []
+    measurements = []
     for characteristic in plan.characteristics:
         measurement = evaluation.measure(characteristic)
         causes = [*filter(None, [measurement.cause, measurement.note])]
@@ -181,8 +181,8 @@ def predicted_measurements(
             causes.append("; ".join(filter(None, [text, source])))
         verdict = Verdict.NOT_MEASURED if uncertainty is None else measurement.verdict
         cause = "; ".join(dict.fromkeys(causes))
-        found.append(replace(measurement, verdict=verdict, cause=cause))
-    return found
+        measurements.append(replace(measurement, verdict=verdict, cause=cause))
+    return measurements
 
 
 def main_source(plan: InspectionPlan, characteristic: Characteristic, contributions: Mapping[str, float]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from cell.errors import FileError
-from cell.files import read_bytes
+from cell.files import file_errors, read_bytes
 from cell.inspect.features import same_surface
 from cell.part.cad import CadModel, SurfaceKind
 from cell.part.workpiece import Workpiece
@@ -82,10 +82,8 @@ def parse(path: Path) -> ElementTree.Element:
     Raises:
         FileError: if it is no QIF 3 file.
     """
-    try:
+    with file_errors(f"{path} cannot be read"):
         content = read_bytes(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     if b"<!ENTITY" in content:
         raise FileError(f"{path} declares entities, which a QIF file has no use for; export it again")
     try:
@@ -138,38 +136,38 @@ class _Reader:
         self._primary_angle = next((primary for _, primary in reversed(angles) if primary), "radian")
         self._faces = _FaceFinder(self._by_id, self._linear.get(self._primary, 1e-3), part, cad)
         self._tables: dict[tuple[int, ...], dict[str, object]] = {}
-        self._found = QifContent()
+        self._result = QifContent()
         self._letters: dict[str, str] = {}
         self._linear_units_used: dict[str, list[str]] = {}
 
     def read(self) -> QifContent:
-        found = self._found
+        content = self._result
         for definition in self._root.iterfind("DatumDefinitions/DatumDefinition"):
             letter = definition.findtext("DatumLabel") or ""
             try:
                 self._add_datum(letter, definition)
             except _UnsupportedError as error:
-                found.unsupported.append(f"datum {letter}: {error}")
+                content.unsupported.append(f"datum {letter}: {error}")
         for nominal in self._root.iterfind("Characteristics/CharacteristicNominals/*"):
-            found.n_characteristics += 1
+            content.n_characteristics += 1
             kind, name = nominal.tag.removesuffix("CharacteristicNominal"), self._name(nominal)
             try:
                 self._add_characteristic(kind, name, nominal)
             except _UnsupportedError as error:
-                found.unsupported.append(f"{name} ({kind}): {error}")
-        found.features += [self._checked(table) for table in self._tables.values()]
-        if not found.features and self._faces.has_unknown:
-            found.notes.append(
+                content.unsupported.append(f"{name} ({kind}): {error}")
+        content.features += [self._checked(table) for table in self._tables.values()]
+        if not content.features and self._faces.has_unknown:
+            content.notes.append(
                 "no face of the file is a face of the part: it is the file of another part, or its model has another "
                 "place or unit; export it from the model of the STEP file"
             )
         used = {unit: kinds for unit, kinds in self._linear_units_used.items() if kinds}
         if len(used) > 1:
             text = "; ".join(f"{unit} for {', '.join(dict.fromkeys(kinds))}" for unit, kinds in used.items())
-            found.notes.append(
+            content.notes.append(
                 f"the file mixes units of length ({text}); they are read as stated, so check one against the drawing"
             )
-        return found
+        return content
 
     def _checked(self, table: dict[str, object]) -> FeatureTable:
         return FeatureTable.model_validate(table)
@@ -199,9 +197,9 @@ class _Reader:
         return " ".join(name.split())[:_NAME] or f"characteristic {nominal.get('id')}"
 
     def _element(self, number: str | None) -> ElementTree.Element:
-        if (found := self._by_id.get(number)) is None:
+        if (element := self._by_id.get(number)) is None:
             raise _UnsupportedError(f"the file has no item {number}")
-        return found
+        return element
 
     def _length_mm(self, element: ElementTree.Element, kind: str) -> float:
         unit = element.get("linearUnit") or self._primary
@@ -239,11 +237,9 @@ class _Reader:
 
     def _feature(self, nominal: ElementTree.Element) -> dict[str, object]:
         """Return the table of a feature; it is added at the first call."""
-        kind = nominal.tag.removesuffix("FeatureNominal")
-        if kind not in _FEATURES:
-            raise _UnsupportedError(f"its feature is a {kind}, which is not supported")
-        numbers = self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
-        return self._table(numbers, _FEATURES[kind], f"{_FEATURES[kind]} {nominal.get('id')}")
+        numbers = self._table_faces(nominal)
+        kind = _FEATURES[nominal.tag.removesuffix("FeatureNominal")]
+        return self._table(numbers, kind, f"{kind} {nominal.get('id')}")
 
     def _table(self, numbers: tuple[int, ...], kind: str, name: str) -> dict[str, object]:
         return self._tables.setdefault(numbers, {"name": name, "faces": numbers, "kind": kind, "characteristic": []})
@@ -282,16 +278,16 @@ class _Reader:
 
     def _append(self, table: dict[str, object], content: dict[str, object]) -> None:
         try:
-            made = CharacteristicTable.model_validate(content)
+            characteristic = CharacteristicTable.model_validate(content)
         except ValidationError as error:
             raise _UnsupportedError(str(error.errors()[0]["msg"]).removeprefix("Value error, ").lstrip(".")) from error
         characteristics = table["characteristic"]
         assert isinstance(characteristics, list)
-        characteristics.append(made)
+        characteristics.append(characteristic)
 
     def _content(self, kind: str, definition: ElementTree.Element, nominal: ElementTree.Element) -> dict[str, object]:
         """Return tolerance, nominal value, datums and zone."""
-        found: dict[str, object] = {}
+        content: dict[str, object] = {}
         is_angle = _KINDS[kind] == "angle"
 
         def measure(element: ElementTree.Element) -> float:
@@ -299,29 +295,29 @@ class _Reader:
 
         target = nominal.find("TargetValue")
         if target is not None:
-            found["nominal"] = measure(target)
+            content["nominal"] = measure(target)
         low, high = definition.find("Tolerance/MinValue"), definition.find("Tolerance/MaxValue")
         absolute = definition.findtext("Tolerance/DefinedAsLimit") == "true"
         if absolute and target is None:
             raise _UnsupportedError("its limits have no nominal value")
-        base = float(str(found.get("nominal", 0.0))) if absolute else 0.0
+        base = float(str(content.get("nominal", 0.0))) if absolute else 0.0
         for key, element in (("lower", low), ("upper", high)):
             if element is not None:
-                found[key] = round(measure(element) - base, 9)
+                content[key] = round(measure(element) - base, 9)
         if definition.find("ToleranceZonePerUnitArea") is not None:
             raise _UnsupportedError("a tolerance per unit area is not supported")
         if (value := definition.find("ToleranceValue")) is not None:
             if (tolerance := self._length_mm(value, kind)) <= 0:
                 raise _UnsupportedError(f"its tolerance is {tolerance:g} mm, and one above 0 is needed")
-            found["tolerance_mm"] = tolerance
+            content["tolerance_mm"] = tolerance
         if (frame := definition.findtext("DatumReferenceFrameId")) is not None:
-            found["datums"] = tuple(self._frame(self._element(frame)))
+            content["datums"] = tuple(self._frame(self._element(frame)))
         if definition.findtext("MaterialCondition") in ("MAXIMUM", "LEAST"):
-            found["note"] = "regardless of feature size: the bonus of its material condition is not added"
+            content["note"] = "regardless of feature size: the bonus of its material condition is not added"
         zones = {"DiametricalZone": "cylindrical", "PlanarZone": "planar", "NonDiametricalZone": "planar"}
         if (zone := definition.find("ZoneShape/*")) is not None:
-            found["zone"] = zones.get(zone.tag)
-        return found
+            content["zone"] = zones.get(zone.tag)
+        return content
 
     def _frame(self, frame: ElementTree.Element) -> Iterator[str]:
         order = {"PRIMARY": 0, "SECONDARY": 1, "TERTIARY": 2}
@@ -375,15 +371,15 @@ class _FaceFinder:
         surface = self._by_id.get(face.findtext("Surface/Id"))
         kind = _SURFACES.get("" if surface is None else surface.tag, SurfaceKind.OTHER)
         corners = self._corners(face)
-        found = [
+        numbers = [
             candidate.number
             for index, candidate in enumerate(self._cad.faces)
             if candidate.kind == kind and len(corners) and self._contains(index, corners)
         ]
-        if not found:
+        if not numbers:
             self.has_unknown = True
             raise _UnsupportedError(f"face {face_id} of the file is no face of the part")
-        return found
+        return numbers
 
     def _contains(self, index: int, points: Floats) -> bool:
         """Return whether all points (N, 3) lie on a CAD face."""

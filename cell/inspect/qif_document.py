@@ -33,13 +33,13 @@ Element = ElementTree.Element
 
 def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
     """Return an element with children, or a text."""
-    made = ElementTree.Element(f"{{{NAMESPACE}}}{tag}", attributes)
+    child = ElementTree.Element(f"{{{NAMESPACE}}}{tag}", attributes)
     for each in content:
         if isinstance(each, str):
-            made.text = each
+            child.text = each
         else:
-            made.append(each)
-    return made
+            child.append(each)
+    return child
 
 
 def counted(tag: str, children: list[Element]) -> Element:

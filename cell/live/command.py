@@ -5,8 +5,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from cell.errors import FileError
-from cell.files import unused_path
+from cell.files import file_errors, unused_path
 from cell.live.server import LiveServer
 from cell.live.states import States, scene_of
 from cell.runs.run import open_finished
@@ -40,11 +39,7 @@ def serve(
         assert run is not None, "a scene or a run is needed"
         scene = scene_of(open_finished(run))
     folder = out or unused_path(Path("sim_runs") / f"live-{datetime.now(UTC):%Y%m%dT%H%M%SZ}")
-    try:
+    with file_errors(f"{folder} cannot be made", "choose another --out", lower=True):
         folder.mkdir(parents=True)
-    except OSError as error:
-        raise FileError(
-            f"{folder} cannot be made: {(error.strerror or str(error)).lower()}; choose another --out"
-        ) from error
     server = LiveServer(States(scene, folder, run), reporter, is_planning=is_planning)
     asyncio.run(server.run(lambda address: on_ready(address.url)))

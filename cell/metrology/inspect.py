@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.errors import FileError, UsageError
-from cell.files import atomic_write
+from cell.errors import FileError, UsageError, errors_as
+from cell.files import atomic_write, file_errors
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.features import InspectionPlan
 from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_source, read_plan
@@ -62,26 +62,26 @@ def inspect(
     with reporter.stage("read the points"):
         if run is None:
             measured, words = _file_points(source, options)
-            measured, aligned, T_located = located(measured, reference, options)
+            measured, alignment, T_located = located(measured, reference, options)
     for sentence in (*plan.notes, *plan.unsupported):
         reporter.note(sentence)
     with reporter.stage("inspect"):
         if run is None:
-            done = inspect_points(
-                plan, reference, measured, part=name, source=words, is_simulated=False, aligned=aligned,
+            outcome = inspect_points(
+                plan, reference, measured, part=name, source=words, is_simulated=False, alignment=alignment,
                 T_located=T_located,
             )  # fmt: skip
         else:
-            done = inspect_execution(plan, reference, run, read_execution(run, source.name))
-        for each in done.result.characteristics:
+            outcome = inspect_execution(plan, reference, run, read_execution(run, source.name))
+        for each in outcome.result.characteristics:
             if "nearly not determined" in each.note:
                 reporter.note(f"{each.name}: {each.note}")
         folder = Path("sim_runs") / f"inspect-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else out
-        write_results(folder, done, qif)
-    return folder, done
+        write_results(folder, outcome, qif)
+    return folder, outcome
 
 
-def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
+def write_results(folder: Path, outcome: Inspected, qif: bytes | None) -> None:
     """Write the results of an inspection to a folder.
 
     Raises:
@@ -93,17 +93,15 @@ def write_results(folder: Path, done: Inspected, qif: bytes | None) -> None:
         with atomic_write(folder / name) as path:
             path.write_bytes(content)
 
-    try:
-        done.write(write, qif)
-        title = f"# Inspection of {done.result.part} ([view](features.html))"
-        text = "\n".join([title, "", "![The features](features.png)", "", *done.section()])
+    with file_errors(f"{folder} cannot be written", "choose another --out"):
+        outcome.write(write, qif)
+        title = f"# Inspection of {outcome.result.part} ([view](features.html))"
+        text = "\n".join([title, "", "![The features](features.png)", "", *outcome.section()])
         write("report.md", text.encode())
         with atomic_write(folder / "features.png") as path:
-            features_picture(path, done.reference, done.plan, done.result)
+            features_picture(path, outcome.reference, outcome.plan, outcome.result)
         with atomic_write(folder / "report.pdf") as path:
-            report_pdf(path, folder / "features.png", done.result)
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
+            report_pdf(path, folder / "features.png", outcome.result)
 
 
 def _characteristics(run: Run | None, scene: Scene | None) -> tuple[InspectionPlan, TriangleMesh, bytes | None, str]:
@@ -150,7 +148,7 @@ def inspect_execution(
         source="; ".join(dict.fromkeys(scan.source for scan in recorded.scans)),
         is_simulated=simulated,
         on_reference=simulated and not options.get("actual"),
-        aligned="scans registered to each other and to the part" if registered else "scans by their reported poses",
+        alignment="scans registered to each other and to the part" if registered else "scans by their reported poses",
         notes=(REGISTERED,) if registered else (),
     )
 
@@ -170,11 +168,11 @@ def execution_points(
     """
     options = recorded.manifest.options or {}
     simulated = all(scan.T_true is not None for scan in recorded.scans)
-    given = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
+    pose_error = tuple(float(str(options.get(key) or 0.0)) for key in ("pose_error_mm", "pose_error_deg"))
     noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
     if simulated:
         sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
-    pose = (0.0, 0.0) if options.get("register") else given if simulated else run.plan_pose_sd
+    pose = (0.0, 0.0) if options.get("register") else pose_error if simulated else run.plan_pose_sd
     return points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose)
 
 
@@ -280,10 +278,8 @@ def located(
         for k in range(8)
         if len(own := measured.points[octant == k])
     ]
-    try:
+    with errors_as(FileError, PlannerError):
         fit = fit_surface(clouds, ClosestPointQuery(reference), centre, search, rng)
-    except PlannerError as error:
-        raise FileError(str(error)) from error
     sd = float(measured.sigma[0])
     doubts = (*fit.doubts, *fit.alternatives)
     words = "; ".join([f"located within {options.search_mm:g} mm, {options.search_deg:g} deg", *doubts])

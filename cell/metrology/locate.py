@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from cell.errors import FileError, SceneError, UsageError
+from cell.errors import FileError, SceneError, UsageError, errors_as
 from cell.metrology import point_files, point_tables
 from cell.metrology.options import LocateOptions
 from cell.part.workpiece import UNITS
@@ -201,11 +201,9 @@ def _fit(
     )
     for method, file, fit in methods:
         if file is not None:
-            names, nominal, there = _read_named_points(run, options, file)
-            try:
-                result = fit(nominal, there, centre, length, sd)
-            except PlannerError as error:
-                raise UsageError(str(error)) from error
+            names, nominal, measured_points = _read_named_points(run, options, file)
+            with errors_as(UsageError, PlannerError):
+                result = fit(nominal, measured_points, centre, length, sd)
             return _Measured(method, f"{file} ({', '.join(names)})", options.view), result
     if sd is not None:
         raise UsageError("point_sd is for named points; a best fit computes the scatter of its points itself")
@@ -213,10 +211,8 @@ def _fit(
     search = SearchRange(options.search_mm / 1000, float(np.radians(options.search_deg)))
     with reporter.stage("fit the points"):
         rng = random_stream(run.seed, Stream.LOCALISATION_STARTS)
-        try:
+        with errors_as(FileError, PlannerError):
             return measured, fit_surface(measured.clouds, nearest, centre, search, rng)
-        except PlannerError as error:
-            raise FileError(str(error)) from error
 
 
 def _clouds_of_files(run: Run, options: LocateOptions) -> _Measured:
@@ -329,13 +325,13 @@ def _check_motion(run: Run, T_base_object: Floats) -> MotionCheck:
         problem = problem or find_collision(motion.via_q, checker, limits)
     except PlannerError as error:
         problem = str(error)
-    found = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)
-    near = int(np.argmin(found.distance))
+    clearances = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)
+    near = int(np.argmin(clearances.distance))
     return MotionCheck(
         keeps_clearance=not problem,
         problem=problem,
-        minimum_clearance_mm=1000 * float(found.distance[near]),
-        between=found.between[near],
+        minimum_clearance_mm=1000 * float(clearances.distance[near]),
+        between=clearances.between[near],
     )
 
 

@@ -89,10 +89,12 @@ class LocateOptions(Table):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        given = [name for name in ("points", "execution", "pairs", "three_two_one") if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise ValueError(f".{given[1]} is given together with {given[0]}; give one of them")
-        measured = given and given[0] != "execution"
+        sources = [
+            name for name in ("points", "execution", "pairs", "three_two_one") if getattr(self, name) is not None
+        ]
+        if len(sources) > 1:
+            raise ValueError(f".{sources[1]} is given together with {sources[0]}; give one of them")
+        measured = sources and sources[0] != "execution"
         for name in ("points_frame", "points_units"):
             if measured and getattr(self, name) is None:
                 raise ValueError(f".{name} is missing; frame and unit of measured points are never guessed")

@@ -33,10 +33,8 @@ def read(path: Path) -> Floats:
     Raises:
         FileError: if it cannot be read.
     """
-    try:
+    with files.file_errors(f"{path} cannot be read"):
         content = files.read_bytes(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     readers: dict[str, Callable[[bytes], Floats]] = {
         ".ply": _ply,
         ".pcd": _pcd,
@@ -69,16 +67,16 @@ def file_of_view(folder: Path, stop: int) -> Path | None:
     Raises:
         FileError: if there are several.
     """
-    found = [
+    paths = [
         path
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in SUFFIXES
         and (number := re.search(r"(\d+)$", path.stem)) is not None
         and int(number[1]) == stop
     ]
-    if len(found) > 1:
-        raise FileError(f"{found[0]} and {found[1].name} both belong to view {stop}; remove one of them")
-    return found[0] if found else None
+    if len(paths) > 1:
+        raise FileError(f"{paths[0]} and {paths[1].name} both belong to view {stop}; remove one of them")
+    return paths[0] if paths else None
 
 
 def missing_file(folder: Path, stop: int) -> str:

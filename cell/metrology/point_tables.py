@@ -168,12 +168,12 @@ def _plain_points(text: str) -> Floats | None:
 
 def _axes(names: list[str]) -> dict[str, int]:
     """Return the columns of x, y and z among names."""
-    found: dict[str, int] = {}
+    axes: dict[str, int] = {}
     for column, name in enumerate(names):
         match = _AXIS.fullmatch(name.strip().lower().lstrip("/#"))
         if match:
-            found.setdefault(match[1], column)
-    return found
+            axes.setdefault(match[1], column)
+    return axes
 
 
 def _require_plain_columns(values: Floats, has_points: bool, line: int) -> None:

@@ -87,18 +87,18 @@ class Reconstruction(Value):
     @property
     def doubts(self) -> tuple[str, ...]:
         """One sentence for each reason why the surface may be inaccurate."""
-        found = []
+        sentences = []
         if self.spacing > SPARSEST * self.extent:
-            found.append(
+            sentences.append(
                 f"the points lie {1e3 * self.spacing:.3g} mm apart, more than {100 * SPARSEST:g} % of their extent: "
                 "the surface between them is uncertain; scan at a finer resolution"
             )
         if self.noise > NOISIEST * self.spacing:
-            found.append(
+            sentences.append(
                 f"the points scatter by {1e3 * self.noise:.3g} mm about the surface, more than {NOISIEST:g} of their "
                 f"spacing of {1e3 * self.spacing:.3g} mm: the surface follows the noise"
             )
-        return tuple(found)
+        return tuple(sentences)
 
 
 def reconstruct(
@@ -219,13 +219,13 @@ class _Grid:
 
     def _neighbours(self, cells: Ints, inside: NDArray[np.bool_]) -> Ints:
         """Return the cells behind faces of active cells with a change of sign."""
-        found = [np.empty(0, dtype=np.int64)]
+        neighbours = [np.empty(0, dtype=np.int64)]
         for axis in range(3):
             for side in (0, 1):
                 face = inside[:, _CORNERS[:, axis] == side]
                 changes = face.any(axis=1) & ~face.all(axis=1)
-                found.append(cells[changes] + (2 * side - 1) * self._stride[axis])
-        return _distinct(np.concatenate(found))
+                neighbours.append(cells[changes] + (2 * side - 1) * self._stride[axis])
+        return _distinct(np.concatenate(neighbours))
 
     def contour(self) -> tuple[Floats, NDArray[np.int32]] | None:
         """Return vertices [m] and faces of the zero level; None if the surface crosses no cell."""

@@ -25,11 +25,8 @@ Table = Mapping[str, Any]
 """An object of the scene description from an unknown writer: each value is checked before use."""
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (4.4.3)
-_INDICES: Mapping[int, np.dtype[Any]] = {
-    5121: np.dtype("<u1"),
-    5123: np.dtype("<u2"),
-    5125: np.dtype("<u4"),
-}  # component types (3.6.2.2)
+# Component types (3.6.2.2).
+_INDICES: Mapping[int, np.dtype[Any]] = {5121: np.dtype("<u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 _FLOAT = 5126
 _PRIMITIVE_COST = 16  # counted for each placed primitive in addition to its triangles; a node has more bytes
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives (3.7.2.1)
@@ -315,13 +312,9 @@ def _accessor(described: Table, data: list[bytes], number: Any, kind: np.dtype[A
     buffer = data[_index(view.get("buffer"), data, "buffer")]
     length = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[form]
     width = length * stored.itemsize
-    begin, room, stride = (
-        _integer(view.get("byteOffset", 0)),
-        _integer(view.get("byteLength")),
-        _integer(view.get("byteStride", 0)),
-    )
+    begin, room = _integer(view.get("byteOffset", 0)), _integer(view.get("byteLength"))
+    stride = _integer(view.get("byteStride", 0)) or width
     offset, count = _integer(accessor.get("byteOffset", 0)), _integer(accessor.get("count"))
-    stride = stride or width
     if count and (offset + (count - 1) * stride + width > room or begin + room > len(buffer) or stride < width):
         raise GlbError("announces more data than it has: it is broken or cut short, export the mesh again")
     if not count:

@@ -19,18 +19,7 @@ _TYPE_NAMES = (
     "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 int64=i8 uint64=u8 float32=f4 float64=f8"
 )
 _TYPES = dict(pair.split("=") for pair in _TYPE_NAMES.split())
-_STRUCT_CODES = {
-    "i1": "b",
-    "u1": "B",
-    "i2": "h",
-    "u2": "H",
-    "i4": "i",
-    "u4": "I",
-    "i8": "q",
-    "u8": "Q",
-    "f4": "f",
-    "f8": "d",
-}
+_STRUCT_CODES = dict(zip(("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"), "bBhHiIqQfd", strict=True))
 _MARK = b"\xef\xbb\xbf"  # UTF-8
 _WINDOWS_NAN = re.compile(r"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 

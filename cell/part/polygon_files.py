@@ -83,16 +83,16 @@ def _joined(lines: list[str]) -> list[str]:
 
     Names and comments can end in a backslash, too.
     """
-    joined: list[str] = []
+    logical_lines: list[str] = []
     begin = 0
     for line in lines:
-        if joined and joined[begin].endswith("\\") and joined[begin][:2] in (*_VERTEX, *_FACE):
-            joined[begin] = f"{joined[begin][:-1]} {line}"
-            joined.append("")
+        if logical_lines and logical_lines[begin].endswith("\\") and logical_lines[begin][:2] in (*_VERTEX, *_FACE):
+            logical_lines[begin] = f"{logical_lines[begin][:-1]} {line}"
+            logical_lines.append("")
         else:
-            begin = len(joined)
-            joined.append(line)
-    return joined
+            begin = len(logical_lines)
+            logical_lines.append(line)
+    return logical_lines
 
 
 def read_off(content: bytes) -> PolygonMesh:

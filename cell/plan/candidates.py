@@ -301,12 +301,7 @@ def append_viewpoints(
 
 def without_rows(M: Measurability, rows: Bools) -> Measurability:
     """Remove all entries of (S,) selected rows."""
-    lengths = np.diff(M.indptr)
-    is_retained = np.repeat(~rows, lengths)
-    indptr = np.concatenate([[0], np.cumsum(np.where(rows, 0, lengths))])
-    return replace(
-        M, indptr=indptr, indices=M.indices[is_retained], sigma=None if M.sigma is None else M.sigma[is_retained]
-    )
+    return M.with_entries(np.repeat(~rows, np.diff(M.indptr)))
 
 
 def require_reachable(plan: PlanSettings, part: Workpiece, reached: Reach) -> None:

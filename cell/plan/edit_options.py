@@ -97,8 +97,7 @@ class Edit(Table):
     """Changes of a plan; views are named by their numbers in visiting order, from 1."""
 
     drop: Annotated[
-        Numbers,
-        Option("Views to drop.", _VIEWS, metavar="N[,N...]", form="numbers of views", examples=("4", "4,7")),
+        Numbers, Option("Views to drop.", _VIEWS, metavar="N[,N...]", form="numbers of views", examples=("4", "4,7"))
     ] = ()
     dropped_range_mm: Annotated[NotNegative, _DROPPED_RANGE] = 50.0
     dropped_range_deg: Annotated[NotNegative, Field(le=180), _DROPPED_RANGE] = 20.0

@@ -11,7 +11,7 @@ from cell.formatting import percent
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import view_evaluator
 from cell.plan.motion import ConnectedPlan
-from cell.plan.selection import Selection, SelectionProblem
+from cell.plan.selection import Selection, SelectionProblem, pose_error
 from cell.runs import schema
 from cell.runs.facts import degrees
 from cell.scene.model import PlanSettings, RegionTargets, with_rest
@@ -141,10 +141,6 @@ def missed_regions(report: schema.Report) -> list[str]:
     return sentences
 
 
-def _has_pose_error(options: PlanSettings) -> bool:
-    return options.pose_sd_mm > 0 or options.pose_sd_deg > 0
-
-
 def plan_report(
     settled: SettledScene,
     planning: TriangleMesh,
@@ -228,7 +224,7 @@ def _options(plan: PlanSettings) -> dict[str, JsonValue]:
     """Return the options that differ from their defaults."""
     keys = [key for key in _LISTED_OPTIONS if getattr(plan, key) != PlanSettings.model_fields[key].default]
     keys += ["scan_s", "settle_s"] if plan.cost == "time" else []
-    keys += ["pose_sd_mm", "pose_sd_deg", "alpha", "ensemble"] if _has_pose_error(plan) else []
+    keys += ["pose_sd_mm", "pose_sd_deg", "alpha", "ensemble"] if not pose_error(plan).is_exact else []
     values = {key: getattr(plan, key) for key in keys}
     return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cell import scanners
-from cell.errors import FileError, SceneError
-from cell.files import model_file
+from cell.errors import SceneError
+from cell.files import file_errors, model_file
 from cell.inspect.artefacts import FEATURES, QIF_SOURCE
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import CandidateSet, MeasuredSet, PlanSession
@@ -136,10 +136,8 @@ def _robot_files(scene: Scene) -> list[Path]:
 def write_scene(folder: RunFolder, scene_path: Path | None) -> None:
     """Write `scene.toml`: the scene file verbatim, or the built-in one."""
     path = scene_path if scene_path is not None else model_file("scene.toml")
-    try:
+    with file_errors(f"the scene {path} cannot be read"):
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"the scene {path} cannot be read: {error.strerror or error}") from error
     folder.write_text("scene.toml", text)
 
 

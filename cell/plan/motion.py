@@ -16,13 +16,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.errors import SceneError
-from cell.plan.improvement import (
-    EquivalentViews,
-    cover_of_motion,
-    shorter_motion,
-    single_views,
-    swap_views,
-)
+from cell.plan.improvement import EquivalentViews, cover_of_motion, shorter_motion, single_views, swap_views
 from cell.plan.selection import PinnedViewError, Request, Selection, SelectionProblem, select_views
 from cell.world.self_occlusion import OcclusionUpdate, SelfOcclusion, arm_caster, coverage_with_arm
 from planner.cover import Cover, CoverStatus
@@ -39,6 +33,7 @@ from planner.tour import tour
 from planner.tour.generalised_tsp import MANY_CLUSTERS
 from planner.tour.orderings import Ordering, fixed_order, order_views, overlapping_order
 from planner.tour.tour import Tour, TourStatus
+from planner.tour.tour_search import MotionBudget
 from planner.tour.view_times import least_home_time
 from planner.tour.visits import Visits
 from planner.values import Bools, Floats, Ints, Value
@@ -133,18 +128,19 @@ class ViewConnector(ABC):
     """Checks of candidates of one kind between selection and motion (`ViewsAtRest`, `SweepingViews`).
 
     Attributes:
+        problem: candidates, cell and request.
         shaded: candidates whose arm hides samples, each with a sentence.
     """
 
     shaded: Mapping[int, str] = MappingProxyType({})
 
     def __init__(self, problem: SelectionProblem) -> None:
-        self._problem = problem
+        self.problem = problem
 
     @property
     def M(self) -> Measurability:
         """Current measurability; it shrinks where an arm shades its own view."""
-        return self._problem.M
+        return self.problem.M
 
     @abstractmethod
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
@@ -212,9 +208,9 @@ class ViewsAtRest(ViewConnector):
 
     def groups(self, selection: Selection, usable: Bools, rng: np.random.Generator) -> EquivalentViews:
         """Return each view with its alternatives, if the request allows swaps."""
-        if not self._problem.request.allows_swaps:
+        if not self.problem.request.allows_swaps:
             return self.alone(selection.cover.views)
-        return swap_views(self._problem, self._arm, selection, usable, rng)
+        return swap_views(self.problem, self._arm, selection, usable, rng)
 
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each view in a group of its own."""
@@ -239,10 +235,10 @@ class ViewsAtRest(ViewConnector):
         as the arm hides no more. Configurations of the same branch a little to either side of the current angle are
         added to each view.
         """
-        chain = self._problem.cell.kinematics
+        chain = self.problem.cell.kinematics
         if not isinstance(chain, ArmOnTable):
             return None
-        step = 2 * np.pi / self._problem.world.scene.table.angles
+        step = 2 * np.pi / self.problem.world.scene.table.angles
         aside = step * np.concatenate([shares, np.negative(shares)])
         picks, configurations_of = groups.picked_by(motion), []
         for view, q in sorted(zip(motion.order.tolist(), motion.q, strict=True), key=lambda stop: stop[0]):
@@ -258,7 +254,7 @@ class ViewsAtRest(ViewConnector):
 
     def _configurations_beside(self, chain: ArmOnTable, view: int, q: Floats, aside: Floats) -> Floats:
         """Return (m, 7) free configurations nearest to q (7,) with the table (n,) aside that hide no more [rad]."""
-        problem, world = self._problem, self._problem.world
+        problem, world = self.problem, self.problem.world
         T_part_scanner = world.T_base_object @ problem.candidates.T_object_scanner[view, 0]
         angles = from_steps(to_steps(q[ARM_AXES] + aside))
         branches = chain.inverse_at(T_part_scanner @ np.linalg.inv(world.T_flange_scanner), angles)
@@ -280,8 +276,8 @@ class ViewsAtRest(ViewConnector):
 
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the stops, and the samples that they measure with the arm as an occluder."""
-        world, prediction = self._problem.world, self._problem.prediction
-        T_base_flange = self._problem.cell.kinematics.forward(motion.q)
+        world, prediction = self.problem.world, self.problem.prediction
+        T_base_flange = self.problem.cell.kinematics.forward(motion.q)
         T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
         poses = T_object_scanner[:, None]
         seen = prediction.seen(poses)
@@ -331,7 +327,7 @@ class SweepingViews(ViewConnector):
 
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the sweeps of a motion with their poses and timing."""
-        world, kinematics = self._problem.world, self._problem.cell.kinematics
+        world, kinematics = self.problem.world, self.problem.cell.kinematics
         choices = zip(motion.order.tolist(), motion.choice.tolist(), strict=True)
         sweeps = tuple(self._sweeps(int(views[view])).paths[choice] for view, choice in choices)
         q = np.stack([path.measured_q for path in sweeps])
@@ -339,11 +335,11 @@ class SweepingViews(ViewConnector):
         poses = (np.linalg.inv(world.T_base_object) @ T_base_scanner).reshape(*q.shape[:2], 4, 4)
         entered = zip(motion.entered.tolist(), sweeps, strict=True)
         lines = {row: TimedSweep(path, world.T_flange_scanner, kinematics) for row, path in entered}
-        return DrivenViews(poses, self._problem.prediction.seen(poses), None, sweeps, lines)
+        return DrivenViews(poses, self.problem.prediction.seen(poses), None, sweeps, lines)
 
     def _sweeps(self, view: int) -> DrivableSweeps:
         if view not in self._found:
-            problem, world = self._problem, self._problem.world
+            problem, world = self.problem, self.problem.world
             column = world.T_base_object @ problem.candidates.T_object_scanner[view]
             self._found[view] = find_sweeps(
                 column, world.T_flange_scanner, problem.cell.kinematics, problem.limits, self._speed,
@@ -393,9 +389,7 @@ def connect_views(
     views: ViewConnector = ViewsAtRest(problem) if problem.is_at_rest else SweepingViews(problem)
     rejected: dict[int, str] = {}
     before: tuple[int, ...] = ()
-    while isinstance(
-        outcome := _try_to_connect(problem, views, selection, rejected, before, motion_rng, progress), _Retry
-    ):
+    while isinstance(outcome := _try_to_connect(views, selection, rejected, before, motion_rng, progress), _Retry):
         for view, reason in outcome.rejected.items():
             if view in problem.request.plan.pinned:
                 raise PinnedViewError(view, reason)
@@ -403,12 +397,11 @@ def connect_views(
         before = outcome.visited or before
         if outcome.action is NextAction.SELECT:
             selection = select_views(problem, selection_rng, M=views.M, rejected=rejected, shaded=views.shaded)
-    outcome = _between_table_angles(problem, views, selection, outcome, motion_rng)
-    return _connected_plan(problem, views, selection, rejected, outcome)
+    outcome = _between_table_angles(views, selection, outcome, motion_rng)
+    return _connected_plan(views, selection, rejected, outcome)
 
 
 def _try_to_connect(
-    problem: SelectionProblem,
     views: ViewConnector,
     selection: Selection,
     rejected: Collection[int],
@@ -420,12 +413,12 @@ def _try_to_connect(
 
     The search begins with the candidates that the last attempt visited, in their order.
     """
-    selected = selection.cover.views
+    problem, selected = views.problem, selection.cover.views
     action, rejections = views.check(selected)
     if action is NextAction.SELECT:
         return _Retry(action, rejections)
     groups = views.groups(selection, problem.usable(rejected), rng)
-    motion = _plan_motion(problem, views, selection, groups, before, rng, progress)
+    motion = _plan_motion(views, selection, groups, before, rng, problem.request.motion, progress)
     # Detours may cost more than the swaps save, and a motion without some views is shorter for that reason.
     dwell, best = problem.request.dwell_s, (groups, motion)
     while groups.has_swaps:
@@ -435,7 +428,7 @@ def _try_to_connect(
         if not motion.dropped and seconds - spare <= groups.straight_before:
             break
         groups = groups.fallback or views.alone(selected)
-        motion = _plan_motion(problem, views, selection, groups, before, rng, progress)
+        motion = _plan_motion(views, selection, groups, before, rng, problem.request.motion, progress)
         best = shorter_motion(best, (groups, motion), dwell)
     groups, motion = best
     if motion.status is TourStatus.HOME_IN_COLLISION:
@@ -457,15 +450,11 @@ def _try_to_connect(
 
 
 def _between_table_angles(
-    problem: SelectionProblem,
-    views: ViewConnector,
-    selection: Selection,
-    connection: _Connected,
-    rng: np.random.Generator,
+    views: ViewConnector, selection: Selection, connection: _Connected, rng: np.random.Generator
 ) -> _Connected:
     """Shorten a motion without detours by table angles between those of the scene."""
-    short = replace(problem.request.motion, guesses=problem.request.motion.guesses[:1], polish=0)
-    problem = replace(problem, request=replace(problem.request, motion=short))
+    budget = views.problem.request.motion
+    short = replace(budget, guesses=budget.guesses[:1], polish=0)
     for shares in TABLE_STEPS:
         if connection.motion.detour.any():
             return connection
@@ -473,7 +462,7 @@ def _between_table_angles(
         if groups is None:
             return connection
         before = connection.groups.visited_by(connection.motion)
-        motion = _plan_motion(problem, views, selection, groups, before, rng, None)
+        motion = _plan_motion(views, selection, groups, before, rng, short)
         is_shorter = not motion.dropped and motion.duration < connection.motion.duration * (1 - 1e-9)
         # Other configurations at the angles of the scene are nodes as well; the arm was not checked there.
         if is_shorter and views.occludes_no_more(groups.views, connection.motion, motion):
@@ -482,16 +471,16 @@ def _between_table_angles(
 
 
 def _plan_motion(
-    problem: SelectionProblem,
     views: ViewConnector,
     selection: Selection,
     groups: EquivalentViews,
     before: tuple[int, ...],
     rng: np.random.Generator,
-    progress: Progress | None,
+    budget: MotionBudget,
+    progress: Progress | None = None,
 ) -> Tour:
     """Plan the motion through one candidate of each group."""
-    world = problem.world
+    problem, world = views.problem, views.problem.world
     group_of = {int(candidate): k for k, members in enumerate(groups.members) for candidate in members}
     visits = Visits(
         groups.configurations,
@@ -502,9 +491,7 @@ def _plan_motion(
         known=tuple(dict.fromkeys(group_of[c] for c in before or groups.visited if c in group_of)),
     )
     ordering = _ordering(problem.request, selection)
-    return tour.plan_tour(
-        visits, problem.cell.checker, problem.limits, rng, problem.request.motion, progress, ordering=ordering
-    )
+    return tour.plan_tour(visits, problem.cell.checker, problem.limits, rng, budget, progress, ordering=ordering)
 
 
 def _ordering(request: Request, selection: Selection) -> Ordering:
@@ -518,9 +505,9 @@ def _ordering(request: Request, selection: Selection) -> Ordering:
 
 
 def _connected_plan(
-    problem: SelectionProblem, views: ViewConnector, selection: Selection, rejected: Mapping[int, str],
-    connection: _Connected,
-) -> ConnectedPlan:  # fmt: skip
+    views: ViewConnector, selection: Selection, rejected: Mapping[int, str], connection: _Connected
+) -> ConnectedPlan:
+    problem = views.problem
     world, kinematics = problem.world, problem.cell.kinematics
     cover, motion = cover_of_motion(
         selection.cover, views.M, connection.motion, connection.groups.picked_by(connection.motion)

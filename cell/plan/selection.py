@@ -545,8 +545,7 @@ def select_with_row_generation(
         return problem, select_views(problem, rng, start=start)
     if not problem.request.is_evaluated:
         return problem, select_views(problem, rng)
-    requested, spread = problem.request.targets, problem.prediction.samples
-    selection = None
+    requested, selection = problem.request.targets, None
     for left in reversed(range(ROUNDS + 1)):
         selection = select_views(problem, rng, start=selection, search=Search.PROBE)
         if selection.almost_satisfies(requested):
@@ -555,12 +554,9 @@ def select_with_row_generation(
                 break
         if not left:  # a selection that is raised and bounded afterwards must be of the same rows
             break
-        pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
-        added = _needed_rows(problem, selection, pool)
-        if not added.any():
+        if (larger := _with_more_rows(problem, selection, surface, fresh)) is None:
             break
-        rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, added))
-        problem = replace(problem, M=append_rows(problem.M, rows, spread))
+        problem = larger
     if is_short and selection is not None:
         return problem, selection
     return problem, _with_most_coverage(problem, select_views(problem, rng, start=selection), rng)
@@ -573,18 +569,14 @@ def _with_rows_for_all(
 
     The few samples of a coarse matrix need fewer views than a coverage just below 1 of the held-out samples.
     """
-    known, T = problem.prediction, problem.candidates.T_object_scanner
     for left in reversed(range(ROUNDS + 1)):
         selection = select_views(problem, rng, search=Search.PROBE)
-        poses = T[selection.cover.views]
-        if not left or known.share_of_coverable(poses) >= ALL:
+        poses = problem.candidates.T_object_scanner[selection.cover.views]
+        if not left or problem.prediction.share_of_coverable(poses) >= ALL:
             break
-        pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
-        added = _needed_rows(problem, selection, pool)
-        if not added.any():
+        if (larger := _with_more_rows(problem, selection, surface, fresh)) is None:
             break
-        rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, added))
-        problem = replace(problem, M=append_rows(problem.M, rows, known.samples))
+        problem = larger
     return problem, selection
 
 
@@ -636,15 +628,21 @@ def continue_selection(problem: SelectionProblem, probe: Selection, rng: np.rand
     return more if is_better else probe.with_bounds_of(selection)
 
 
-def _needed_rows(problem: SelectionProblem, selection: Selection, pool: SurfaceSamples) -> Bools:
-    """Return (S,) which samples of the pool become rows; none if the views leave no coverable sample of the pool."""
+def _with_more_rows(
+    problem: SelectionProblem, selection: Selection, surface: PartSurface, fresh: np.random.Generator
+) -> SelectionProblem | None:
+    """Return the problem with fresh samples as rows; None if the views leave no coverable sample of a fresh pool."""
     known, T = problem.prediction, problem.candidates.T_object_scanner
+    pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
     left = pick_samples(pool, ~find_measured(T[selection.cover.views], pool, known.scanner, known.casters))
     left = pick_samples(left, find_measured(T[problem.usable()], left, known.scanner, known.casters))
     # All fresh samples of the planning faces that fail: the failing samples alone would overstate the failure.
     needed = np.isin(pool.planning_face, left.planning_face)
     rows = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _N_ADDED_ROWS)]
-    return np.asarray(np.isin(np.arange(len(pool)), rows))
+    if not len(rows):
+        return None
+    added = measure_rows(problem, problem.reached.reachable, pick_samples(pool, rows))
+    return replace(problem, M=append_rows(problem.M, added, known.samples))
 
 
 def measure_rows(measured: MeasuredSet, usable: Bools, samples: SurfaceSamples) -> Measurability:

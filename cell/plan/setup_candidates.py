@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from cell.errors import SceneError, UsageError
@@ -45,7 +44,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.reach import pick_reach
-from planner.measurability.matrix import Measurability
+from planner.measurability.matrix import Measurability, measurability_of
 from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints import growth
@@ -104,9 +103,7 @@ def given_candidates(scene: Scene) -> list[SetupCandidate]:
 
 def with_fixed_table(scene: Scene, world: World) -> Scene:
     """Return the scene with its rotary table at its position in a compiled cell, whatever the pose of the part."""
-    if world.table is None:
-        return scene
-    return with_table_at(scene, world.table.T_base_table)
+    return scene if world.table is None else with_table_at(scene, world.table.T_base_table)
 
 
 def with_table_at(scene: Scene, T_base_table: Floats) -> Scene:
@@ -351,16 +348,9 @@ def _fixed_setup(session: PlanSession, surface: PartSurface, run: Run) -> FixedS
     prediction = Prediction.of(samples, cell.scanner, cell.casters, poses)
     reached = pick_reach(run.reach, ids)
     seen = find_measured(poses, surface.samples, cell.scanner, cell.casters, each=True)
-    M = _matrix_of(seen & ~in_contact(surface.samples, cell.occluders)[:, None], surface.samples)
+    M = measurability_of(seen & ~in_contact(surface.samples, cell.occluders)[:, None], surface.samples)
     measured = MeasuredSet(candidates, reached, M, prediction)
     return FixedSetup(measured, cell.occluders, in_contact(samples, cell.occluders), run)
-
-
-def _matrix_of(seen: Bools, samples: SurfaceSamples) -> Measurability:
-    """Return the matrix of (S, n) measured samples."""
-    matrix = csr_array(seen)
-    indptr, indices = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32)
-    return Measurability(indptr=indptr, indices=indices, samples=samples, n_viewpoints=seen.shape[1])
 
 
 def try_candidates(

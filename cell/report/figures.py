@@ -137,13 +137,7 @@ def joint_motion(path: Path, *, t: Floats, q: Floats, qd: Floats, limit: Floats,
 
 
 def coverage_over_views(
-    path: Path,
-    *,
-    n_views: NDArray[np.int64],
-    covered: Floats,
-    bound: Floats,
-    plan_views: int,
-    plan: float,
+    path: Path, *, n_views: NDArray[np.int64], covered: Floats, bound: Floats, plan_views: int, plan: float
 ) -> None:
     """Plot the covered share of the coverable area over the number of views, its upper bound, and the plan.
 
@@ -257,13 +251,7 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
 
 
 def cell_with_arm(
-    path: Path,
-    *,
-    q: Floats,
-    T_base_scanner: Floats,
-    source_path: Floats,
-    camera_deg: Floats,
-    hide: NDArray[np.str_],
+    path: Path, *, q: Floats, T_base_scanner: Floats, source_path: Floats, camera_deg: Floats, hide: NDArray[np.str_]
 ) -> None:
     """Draw cell.png: the arm at one of its views beside the part.
 

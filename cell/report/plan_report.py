@@ -141,13 +141,10 @@ def _spacing_row(report: Report) -> Rows:
     if (spacing := report.spacing) is None:
         return []
     limit = "" if spacing.limit_mm is None else f", limit {spacing.limit_mm:g} mm"
-    return [
-        (
-            "spacing of points",
-            f"at most {spacing.quantile_99_mm:.3g} mm on 99 % of the measured surface, at most {spacing.median_mm:.3g} "
-            f"mm on half of it{limit}",
-        )
-    ]
+    text = (
+        f"at most {spacing.quantile_99_mm:.3g} mm on 99 % of the measured surface, at most {spacing.median_mm:.3g} mm"
+    )
+    return [("spacing of points", f"{text} on half of it{limit}")]
 
 
 def _facts(report: Report) -> list[str]:
@@ -261,44 +258,29 @@ def _option_rows(report: Report) -> Rows:
     """Return a row for each result of an option beyond the fewest views."""
     rows: Rows = []
     if most := report.max_coverage:
-        rows.append(
-            (
-                f"at most {most.max_views} views",
-                f"they cover {percent(most.coverage)} of the surface's samples; no selection of {most.max_views} views "
-                f"covers more than {percent(most.upper_bound)}",
-            )
+        text = (
+            f"they cover {percent(most.coverage)} of the surface's samples; no selection of {most.max_views} views "
+            f"covers more than {percent(most.upper_bound)}"
         )
+        rows.append((f"at most {most.max_views} views", text))
     if several := report.multiplicity:
         fewer = several.samples_with_fewer_candidates
-        rows.append(
-            (
-                "views per sample",
-                f"{several.views_per_sample}"
-                + (f"; {fewer} samples have fewer candidates, and are measured from all of them" if fewer else ""),
-            )
-        )
+        text = f"; {fewer} samples have fewer candidates, and are measured from all of them" if fewer else ""
+        rows.append(("views per sample", f"{several.views_per_sample}{text}"))
     if cost := report.cost:
-        rows.append(
-            (
-                "time of views and motion",
-                f"{cost.seconds:.1f} s (scan and settling at each view, and the motion); no selection takes less than "
-                f"{cost.seconds_bound:.1f} s",
-            )
-        )
+        text = f"{cost.seconds:.1f} s (scan and settling at each view, and the motion); no selection takes less than "
+        rows.append(("time of views and motion", f"{text}{cost.seconds_bound:.1f} s"))
     if report.overlap:
         rows.append(("overlap", _overlap(report, report.overlap)))
     if report.robust:
         rows += _robust_rows(report.robust)
     if before := report.further_setup:  # of a plan for the surface that earlier plans left uncovered
         contact = f"; {percent(before.in_contact)} that was uncovered is in contact here" if before.in_contact else ""
-        rows.append(
-            (
-                "all set-ups",
-                f"{percent(before.visible_together)} of the surface, {percent(before.visible_before)} before this one; "
-                f"this one measures {percent(before.share)} of the uncovered surface that its candidates can "
-                f"measure{contact}",
-            )
+        text = (
+            f"{percent(before.visible_together)} of the surface, {percent(before.visible_before)} before this one; "
+            f"this one measures {percent(before.share)} of the uncovered surface that its candidates can measure"
         )
+        rows.append(("all set-ups", text + contact))
     return rows
 
 

@@ -355,17 +355,8 @@ def combined_markdown(report: ScannedSetups) -> str:
         link = f"[{setup.number}](../setups/{setup.number}/executions/{setup.execution}/report.md)"
         shares = percent(setup.visible), percent(setup.marginal_coverage)
         setups.append((link, setup.execution, setup.views, f"{setup.points:,}", *shares, *displaced))
-    head = (
-        "",
-        "execution",
-        "views",
-        "points",
-        "measures",
-        "marginal coverage",
-        "displaced, mm",
-        "deg",
-        "not determined",
-    )
+    own = ("execution", "views", "points", "measures", "marginal coverage")
+    head = ("", *own, "displaced, mm", "deg", "not determined")
     lines = [f"# Scan of {report.part} in several set-ups, {report.source}", ""]
     lines += [*_grid(("", ""), combined_rows(report)), "## Set-ups", "", *_grid(head, setups)[:-1]]
     lines += shared_surface(report.common_surface)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.errors import SceneError
+from cell.errors import SceneError, errors_as
 from cell.robot.model import AXES, FLANGE, dimensions, limits, load
 from planner.errors import PlannerError
 from planner.geometry.rigid import inverse_rigid
@@ -39,10 +39,8 @@ def kinematics_of(model: mujoco.MjModel) -> Kinematics:
     arm = dimensions(model)
     if arm is not None:
         return KukaKinematics(arm, limits(model))
-    try:
+    with errors_as(SceneError, PlannerError):
         return ArmKinematics(chain_of(model), limits(model))
-    except PlannerError as error:
-        raise SceneError(str(error)) from error
 
 
 def chain_of(model: mujoco.MjModel) -> Chain:

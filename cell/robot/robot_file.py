@@ -147,14 +147,12 @@ def read_robot(
 
 def _parse(path: Path) -> ElementTree.Element:
     """Return the root of an XML file in its declared encoding, with tags without namespaces."""
-    try:
+    with files.file_errors(f"{path} cannot be read as a URDF or MJCF"):
         if path.stat().st_size > MAX_FILE:
             raise FileError(
                 f"{path} has {path.stat().st_size / 1e6:.0f} MB; a robot's description may have at most 10 MB"
             )
         content = files.read_bytes(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be read as a URDF or MJCF: {error.strerror or error}") from error
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:

@@ -22,15 +22,10 @@ class CurrentFiles(Table):
     scene: Annotated[
         Path | None,
         Field(strict=False),
-        Option(
-            "Scene file of the current cell. Default: the planned one.",
-            _HELP_GROUP,
-            metavar="FILE",
-        ),
+        Option("Scene file of the current cell. Default: the planned one.", _HELP_GROUP, metavar="FILE"),
     ] = None
     part: Annotated[
-        str | None,
-        Option("Mesh file of the current part. Default: the planned one.", _HELP_GROUP, metavar="FILE"),
+        str | None, Option("Mesh file of the current part. Default: the planned one.", _HELP_GROUP, metavar="FILE")
     ] = None
     accept_changed_scene: Annotated[
         tuple[str, ...],

@@ -52,17 +52,11 @@ class RunFolder:
     target: Path
     path: Path
     manifest: Manifest
-    _stage: str = "start"
     _artefacts: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def create(
-        cls,
-        out: Path | None,
-        argv: list[str],
-        seed: int,
-        inputs: Mapping[str, str],
-        now: datetime,
+        cls, out: Path | None, argv: list[str], seed: int, inputs: Mapping[str, str], now: datetime
     ) -> "RunFolder":
         """Create the folder.
 
@@ -112,7 +106,6 @@ class RunFolder:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Enter a stage: write its name to the manifest and add its duration at the end."""
-        self._stage = name
         self.manifest = self.manifest.but(stage=name)
         self._write_manifest()
         start = perf_counter()

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from cell.errors import FileError
+from cell.files import file_errors
 from cell.formatting import Summary, percent
 from cell.runs import ply
 from cell.runs.folder import SCHEMA
@@ -137,9 +138,7 @@ class ArtefactFolder(Summary):
     def arrays(self, name: str) -> dict[str, NDArray[Any]]:
         """Return the arrays of an .npz artefact."""
         stored = npz_arrays(self.folder / name, self.artefact(name))
-        if self.manifest.schema_version in FORMER_SCHEMAS:
-            return with_present_arrays(stored)
-        return stored
+        return with_present_arrays(stored) if self.manifest.schema_version in FORMER_SCHEMAS else stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -734,12 +733,8 @@ def read_manifest(path: Path) -> Manifest:
 
 def file_bytes(path: Path) -> bytes:
     """Return the content of a file."""
-    try:
+    with file_errors(f"{path} cannot be read", "check its permissions", lower=True):
         return path.read_bytes()
-    except OSError as error:
-        raise FileError(
-            f"{path} cannot be read: {(error.strerror or str(error)).lower()}; check its permissions"
-        ) from error
 
 
 @contextmanager

@@ -153,8 +153,7 @@ class Manifest(JsonTable):
 
     schema_version: str | None = Field(default=None, alias="schema", description="version of the folder's layout")
     status: str | None = Field(
-        default=None,
-        description="running, finished, failed, interrupted, or incomplete (reported before its end)",
+        default=None, description="running, finished, failed, interrupted, or incomplete (reported before its end)"
     )
     stage: str | None = Field(default=None, description="last stage begun")
     start_time: str | None = Field(default=None, description="time of the start (UTC)")
@@ -223,8 +222,7 @@ class Coverage(JsonTable):
         "computed, and in older runs",
     )
     target_on_samples: float | None = Field(
-        default=None,
-        description="target: share of the coverable samples; null if regions have their own targets",
+        default=None, description="target: share of the coverable samples; null if regions have their own targets"
     )
     planned_on_samples: float = Field(description="coverage of the views on the samples of the matrix")
     coverable_on_samples: float = Field(description="coverage of all reachable candidates on these samples")
@@ -1038,8 +1036,7 @@ class SetupsFile(JsonTable):
     )
     seconds_bound: float | None = Field(default=None, description="lower bound of the cost over all covers")
     satisfied_share: float | None = Field(
-        default=None,
-        description="share of the coverable samples with the requested number of views or confidence",
+        default=None, description="share of the coverable samples with the requested number of views or confidence"
     )
     regions: tuple[SetupsRegion, ...] = Field(default=(), description="regions of the part")
     selected: tuple[SelectedSetup, ...] = Field(description="selected set-ups in the order of their numbers")

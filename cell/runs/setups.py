@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import JsonValue
 
-from cell.errors import FileError
+from cell.files import file_errors
 from cell.formatting import Summary, percent
 from cell.runs.schema import Manifest, SetupsFile, parsed
 
@@ -42,10 +42,8 @@ class SetupsRun(Summary):
         Raises:
             FileError: if a file is missing or damaged.
         """
-        try:
+        with file_errors(f"{folder} is not a folder of cell setups"):
             texts = {name: (folder / name).read_bytes() for name in ("setups.json", "manifest.json")}
-        except OSError as error:
-            raise FileError(f"{folder} is not a folder of cell setups: {error.strerror or error}") from error
         file = parsed(SetupsFile, texts["setups.json"], folder / "setups.json")
         manifest = parsed(Manifest, texts["manifest.json"], folder / "manifest.json")
         return cls(folder, file, manifest.exit_code or 0)

@@ -90,25 +90,24 @@ def verify_plan(folder: Path) -> VerifiedPlan:
     """Verify the plan of a run folder; raise FileError with the first violation."""
     run = open_finished(folder)
     digest = require_intact(run)
-    resolved, plan, motion = run.scene, run.plan, run.motion
-    stored, candidates = run.arrays("motion.npz"), run.candidates
-    _require_manifest(run, resolved)
+    resolved, plan, motion, stored = run.scene, run.plan, run.motion, run.arrays("motion.npz")
+    _require_manifest(run)
     if not len(plan.views) or len(motion.via_q) < 2:
         refuse(run.folder / "motion.npz", "has no motion: it visits no view")
     for name in ("pose", "line", "limit_jerk"):  # readers add them to runs of earlier versions
         if name not in stored:
             refuse(run.folder / "motion.npz", f"has no {name}")
-    world = verify_cell(run, resolved)
+    world = verify_cell(run)
     if resolved.plan.collision != world.collision:
         refuse(run.folder / "scene.resolved.json", "contradicts itself at plan.collision")
     kinematics, checker = world.kinematics, MujocoCollisionChecker(world)
     with reading(run.folder / "motion.npz"):
-        verify_views(run, plan, motion, candidates, world, kinematics)
-        verify_clearance(run, plan, motion, stored, world.collision)
+        verify_views(run, world, kinematics)
+        verify_clearance(run, stored, world.collision)
         full = model_limits(resolved, world)
         limits = scale_limits(full, resolved.speed_scaling, resolved.acceleration_scaling)
-        sweeps = verify_sweeps(run, plan, motion, candidates, world, kinematics, checker, limits, full)
-        verify_timing(run, motion, limits, sweeps, world.T_flange_scanner, kinematics)
+        sweeps = verify_sweeps(run, world, kinematics, checker, limits, full)
+        verify_timing(run, limits, sweeps, world.T_flange_scanner, kinematics)
         if (to_steps(motion.via_q[[0, -1]]) != to_steps(world.home)).any():
             refuse(run.folder / "motion.npz", "does not begin and end at home_deg of scene.resolved.json")
         if problem := find_collision(motion.via_q, checker, limits):
@@ -117,10 +116,10 @@ def verify_plan(folder: Path) -> VerifiedPlan:
     return VerifiedPlan(run, digest, resolved, plan, motion, world, checker)
 
 
-def _require_manifest(run: Run, resolved: ResolvedScene) -> None:
+def _require_manifest(run: Run) -> None:
     """Compare the values that manifest and scene.resolved.json share."""
     stated = run.manifest.inputs.get("part"), run.manifest.seed
-    if stated != (resolved.part.sha256, resolved.plan.seed):
+    if stated != (run.scene.part.sha256, run.scene.plan.seed):
         refuse(run.folder / "manifest.json", "has another part or seed than scene.resolved.json")
 
 
@@ -163,9 +162,9 @@ _MODEL_TOLERANCE = 1e-8  # m, and of a quaternion's entries
 _MESH_TOLERANCE = 1e-6  # m, of the vertices of hulls
 
 
-def verify_cell(run: Run, resolved: ResolvedScene) -> World:
+def verify_cell(run: Run) -> World:
     """Compile the cell of a run again and return it; raise FileError unless it equals the checked cell."""
-    path = run.folder / "scene.resolved.json"
+    path, resolved = run.folder / "scene.resolved.json", run.scene
     with reading(path):
         scene = scene_of_run(run)
         world = world_of(run, run.mesh("reference.ply"))
@@ -230,7 +229,8 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
             return f"the shape '{two.name}' differs"
         same = not (_differs(one.pos, two.pos) or _is_rotated(one.quat, two.quat) or _differs(one.size, two.size))
         if two.dataid[0] >= 0:
-            same = not _is_moved(robot.mesh_of(checked, number).vertices, robot.mesh_of(recompiled, number).vertices)
+            a, b = (robot.mesh_of(model, number).vertices for model in (checked, recompiled))
+            same = not (_exceeds(a, b) or _exceeds(b, a))
         if not same:
             return f"the shape '{two.name}' has another pose or size"
     for number in range(recompiled.nsite):
@@ -275,11 +275,6 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
         mujoco.mju_mulQuat(turned, quat, turn)
         quat = turned
     return quat
-
-
-def _is_moved(one: Floats, two: Floats) -> bool:
-    """Return whether the hulls of two sets of points (N, 3) [m] differ, in the frame of the same body."""
-    return _exceeds(one, two) or _exceeds(two, one)
 
 
 def _exceeds(points: Floats, hull: Floats) -> bool:
@@ -350,7 +345,6 @@ def model_limits(resolved: ResolvedScene, world: World) -> JointLimits:
 
 def verify_timing(
     run: Run,
-    motion: Motion,
     limits: JointLimits,
     sweeps: Sequence[tuple[int, SweepPath]],
     T_flange_scanner: Floats,
@@ -359,14 +353,13 @@ def verify_timing(
     """Check that the motion has the limits of the model, and times and samples that follow from its via points.
 
     Args:
-        run: the run, for error messages.
-        motion: its motion.
+        run: the run.
         limits: limits of the model (`model_limits`), scaled.
         sweeps: first via point of each sweep, and the sweep as proven recompiled.
         T_flange_scanner: (4, 4) mount [m].
         kinematics: of the arm.
     """
-    path = run.folder / "motion.npz"
+    path, motion = run.folder / "motion.npz", run.motion
     for name in _LIMITS:
         if not np.allclose(
             getattr(motion.limits, name), getattr(limits, name), rtol=_MOTION_TOLERANCE, atol=_MOTION_TOLERANCE
@@ -410,11 +403,9 @@ def find_collision(via: Floats, checker: CollisionChecker, limits: JointLimits) 
 _POSE_TOLERANCE = 5e-5  # of a candidate from the pose of its rounded set-points: m, and entries of the rotation
 
 
-def verify_views(
-    run: Run, plan: PlanFile, motion: Motion, candidates: Viewpoints, world: World, kinematics: Kinematics
-) -> None:
+def verify_views(run: Run, world: World, kinematics: Kinematics) -> None:
     """Check that the motion visits the views of plan.json in order, at their set-points and poses."""
-    path = run.folder / "motion.npz"
+    path, plan, motion = run.folder / "motion.npz", run.plan, run.motion
     rows = np.flatnonzero(motion.view >= 0)
     number = np.cumsum(np.diff(motion.view[rows], prepend=-1) != 0) - 1
     order = motion.view[rows[np.flatnonzero(np.diff(number, prepend=-1))]].tolist()
@@ -429,12 +420,13 @@ def verify_views(
         backwards = view.sweep is not None and view.sweep.backwards
         if motion.pose[view_rows].tolist() != list(range(poses))[:: -1 if backwards else 1]:
             refuse(path, f"does not pass the poses of view {k + 1} in order")
-        expected = _view(view, motion.via_q[view_rows][:: -1 if backwards else 1], candidates, world, kinematics)
+        expected = _view(view, motion.via_q[view_rows][:: -1 if backwards else 1], run.candidates, world, kinematics)
         if key := first_difference(view, expected):
             refuse(
                 run.folder / "plan.json", f"differs from motion.npz, the mount or the candidates at views[{k}].{key}"
             )
-        ends.append(int(view_rows[-1]) if view.sweep is None else _line_end(motion, int(view_rows[-1])))
+        last = int(view_rows[-1])
+        ends.append(last if view.sweep is None else int(np.flatnonzero(motion.line == motion.line[last])[-1]))
     segment = np.searchsorted(ends, np.arange(len(motion.via_q)), side="left")
     if not np.array_equal(motion.segment, segment):
         refuse(path, "has segments that do not end at its views")
@@ -468,45 +460,29 @@ def _view(view: PlanView, q: Floats, candidates: Viewpoints, world: World, kinem
     )
 
 
-def _line_end(motion: Motion, row: int) -> int:
-    """Return the last via point of the line that contains a via point."""
-    return int(np.flatnonzero(motion.line == motion.line[row])[-1])
-
-
 def verify_sweeps(
-    run: Run,
-    plan: PlanFile,
-    motion: Motion,
-    candidates: Viewpoints,
-    world: World,
-    kinematics: Kinematics,
-    checker: CollisionChecker,
-    limits: JointLimits,
-    full: JointLimits,
+    run: Run, world: World, kinematics: Kinematics, checker: CollisionChecker, limits: JointLimits, full: JointLimits
 ) -> list[tuple[int, SweepPath]]:
     """Prove the sweeps of the motion again; return the first via point and the path of each.
 
     Args:
-        run: the run, for error messages.
-        plan: plan.json, verified against the motion (`verify_views`).
-        motion: its motion.
-        candidates: viewpoints with the poses of each sweep.
+        run: the run, its plan verified against its motion (`verify_views`).
         world: the cell.
         kinematics: of the arm.
         checker: collision checker of the cell.
         limits: limits used for timing.
         full: limits at full speed.
     """
-    path, speed = run.folder / "motion.npz", DEFAULT_SPEED.slowed(limits, full)
+    path, motion, speed = run.folder / "motion.npz", run.motion, DEFAULT_SPEED.slowed(limits, full)
     sweep_paths: list[tuple[int, SweepPath]] = []
     on_line = np.full(len(motion.line), -1)
-    for k, view in enumerate(plan.views):
+    for k, view in enumerate(run.plan.views):
         if view.sweep is None:
             continue
         row = int(np.flatnonzero(motion.view == view.id)[0])
         line_rows = np.flatnonzero(motion.line == motion.line[row])
         driven: Ints = to_steps(motion.via_q[max(0, int(line_rows[0]) - 1) : int(line_rows[-1]) + 1])
-        column = world.T_base_object @ candidates.T_object_scanner[view.id]
+        column = world.T_base_object @ run.candidates.T_object_scanner[view.id]
         paths = find_sweeps(column, world.T_flange_scanner, kinematics, limits, speed, checker).paths
         match = next((path for path in paths if np.array_equal(to_steps(path.q), driven)), None)
         if match is None:
@@ -520,11 +496,9 @@ def verify_sweeps(
     return sweep_paths
 
 
-def verify_clearance(
-    run: Run, plan: PlanFile, motion: Motion, stored: Mapping[str, NDArray[Any]], collision: str
-) -> None:
-    """Check that plan.json and motion.npz state the same clearance; `collision` is the shape of the part."""
-    stated = plan.clearance
+def verify_clearance(run: Run, stored: Mapping[str, NDArray[Any]], collision: str) -> None:
+    """Check that plan.json and motion.npz (`stored`) state the same clearance; `collision` is the part's shape."""
+    stated = run.plan.clearance
     if stated is None:
         refuse(run.folder / "plan.json", "does not state the clearance of the motion")
     nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_lower_bound", "between"))
@@ -540,7 +514,7 @@ def verify_clearance(
         ],
         tightest=stated.tightest,
     )
-    if len(expected.segments) != int(motion.segment[-1]) + 1:
+    if len(expected.segments) != int(run.motion.segment[-1]) + 1:
         refuse(run.folder / "motion.npz", "has another number of segments than clearances")
     key = first_difference(stated, expected)
     if not key and stated.tightest is not None:

@@ -33,7 +33,7 @@ from cell.errors import FileError, UsageError
 from cell.metrology import point_files
 from cell.part.workpiece import UNITS
 from planner.ports import ARM_AXES
-from planner.values import Floats, Ints, Value, freeze
+from planner.values import Floats, Ints, Value
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
@@ -74,9 +74,6 @@ class View(Value):
     T_object_scanner: Annotated[Floats, "K 4 4"]
     T_base_object: Annotated[Floats, "4 4"]
     order: Annotated[Ints, "K"]
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def middle(self) -> int:
@@ -142,7 +139,6 @@ class Acquisition(Protocol):
 
     def take(self, view: View) -> Acquired | None:
         """Return the points; None if there are none: the view is then missing, and a later resume scans it."""
-        ...
 
 
 class AcquisitionClass(Protocol):
@@ -150,7 +146,6 @@ class AcquisitionClass(Protocol):
 
     def __call__(self, argument: str, context: Context) -> Acquisition:
         """Make a source; raise `cell.errors.UsageError` if the argument is invalid."""
-        ...
 
 
 def names() -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cell.errors import DriverFailureError, FileError, UsageError
-from cell.files import atomic_write
+from cell.errors import DriverFailureError, FileError, UsageError, errors_as
+from cell.files import atomic_write, file_errors
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import open_run
@@ -96,7 +96,7 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
             "choose another --state, or remove it to start at --start"
         )
     wire_clock = RealTimeClock()
-    try:
+    with errors_as(DriverFailureError, DriverError):
         axes = from_rad(home) if memory.axes is None else memory.axes
         endpoint = Endpoint(
             arm.plant(to_rad(axes)),
@@ -109,8 +109,6 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
             time_scale=options.time_scale,
         )
         line, url = _open_line(protocol, options)
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
     server = Server(_station(protocol, options, endpoint), line, wire_clock, injector, options.time_scale)
     try:
         announce(url)
@@ -132,10 +130,8 @@ def _emulate_kvp(options: EmulateOptions, arm: Arm, injector: Injector | None, a
     home = arm.home if options.start_deg is None else np.append(np.radians(options.start_deg), arm.home[AXES:])
     clock, memory = RealTimeClock(), Memory(None, options.log)
     controller = KukaController(to_rad(from_rad(home)), arm.limits, clock, memory)
-    try:
+    with errors_as(DriverFailureError, DriverError):
         line = TcpLine(options.port)
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
     with _until_stopped(line, options, clock) as is_over:
         announce(f"kvp://{line.name}")
         Server(KvpStation(controller), line, clock, injector).serve(is_over)
@@ -152,10 +148,8 @@ def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, a
             raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
-    try:
+    with errors_as(DriverFailureError, DriverError):
         controller = RsiController(to_rad(from_rad(home)), clock, options.port, options.cycle_ms, injector)
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
     with _until_stopped(controller, options, clock) as is_over:
         announce(controller.url)
         controller.serve(is_over)
@@ -198,14 +192,9 @@ def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], Non
     _require_arm_only("ur", arm)
     home = arm.home if options.start_deg is None else np.radians(options.start_deg)
     clock = RealTimeClock()
-    try:
-        server = UrServer(
-            UrController(to_rad(from_rad(home)), clock),
-            options.port,
-            max(options.port - UR_SCRIPT_OFFSET, 0),
-        )
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
+    with errors_as(DriverFailureError, DriverError):
+        controller = UrController(to_rad(from_rad(home)), clock)
+        server = UrServer(controller, options.port, max(options.port - UR_SCRIPT_OFFSET, 0))
     with _until_stopped(server, options, clock) as is_over:
         announce(server.url)
         server.serve(is_over)
@@ -254,12 +243,10 @@ def write_controller_files(
         contents = rsi.files(address, port, load_arm(run_folder, "ideal").limits, cycle_ms=cycle_ms)
     else:
         raise UsageError(f"cell controller {protocol}: unknown protocol; valid are: kvp, rsi")
-    try:
+    with file_errors(f"{out} cannot be written", "choose another --out"):
         for name, content in contents.items():
             with atomic_write(out / name) as part:
                 part.write_bytes(content)
-    except OSError as error:
-        raise FileError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
     return [out / name for name in contents]
 
 
@@ -298,10 +285,8 @@ class Memory:
 
     def __init__(self, state: Path | None, log: Path | None) -> None:
         self._state = state
-        try:
+        with file_errors(f"{log} cannot be written", "choose another --log"):
             self._log = None if log is None else log.open("a", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{log} cannot be written: {error.strerror}; choose another --log") from error
         self.axes: SetPoints | None = None
         self.boot, self.ended_in_order = 0, True
         if state is not None and state.exists():
@@ -312,11 +297,9 @@ class Memory:
         """Append one line to the journal."""
         if self._log is None:
             return
-        try:
+        with file_errors(f"{self._log.name} cannot be written", "choose another --log"):
             self._log.write(json.dumps(event) + "\n")
             self._log.flush()
-        except OSError as error:
-            raise FileError(f"{self._log.name} cannot be written: {error.strerror}; choose another --log") from error
 
     def record_state(self, state: RobotState) -> None:
         """Store the position before a client receives it."""
@@ -335,11 +318,11 @@ class Memory:
         if content == self._written:
             return
         text = json.dumps({"schema": SCHEMA, "axes": content[0], "boot": boot, "ended_in_order": ended_in_order})
-        try:
-            with atomic_write(self._state) as part:
-                part.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error
+        with (
+            file_errors(f"{self._state} cannot be written", "choose another --state"),
+            atomic_write(self._state) as part,
+        ):
+            part.write_text(text + "\n", encoding="utf-8")
         self._written = content
 
 

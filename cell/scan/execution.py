@@ -10,7 +10,7 @@ in the plan's prediction.
 import dataclasses
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import JsonValue
 
 from cell import signals
-from cell.errors import DriverFailureError, FileError, UsageError
+from cell.errors import DriverFailureError, FileError, UsageError, errors_as
 from cell.runs.cell import RunCell
 from cell.runs.run import split_axes
 from cell.scan import acquisition as sources
@@ -203,13 +203,9 @@ def make_driver(
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
 
 
-@contextmanager
-def driver_errors() -> Iterator[None]:
-    """Convert a driver's error to one that ends the command with its exit code."""
-    try:
-        yield
-    except DriverError as error:
-        raise DriverFailureError(str(error)) from error
+def driver_errors() -> AbstractContextManager[None]:
+    """Convert a driver's error in the block to one that ends the command with its exit code."""
+    return errors_as(DriverFailureError, DriverError)
 
 
 def make_acquisition(

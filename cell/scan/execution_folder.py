@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
-from cell.errors import FileError
+from cell.files import file_errors
 from cell.runs.folder import PROCESS_KEYS, SCHEMA, RunFolder, json_text, versions, with_process
 from cell.runs.run import EXECUTIONS, Run
 from cell.runs.schema import Manifest, Resumption
@@ -57,7 +57,7 @@ class ExecutionFolder(RunFolder):
             FileError: if it cannot be made.
         """
         root = run.folder / EXECUTIONS
-        try:
+        with file_errors(f"an execution cannot be made in {root}", "the run folder must be writable", lower=True):
             root.mkdir(exist_ok=True)
             while True:
                 numbers = [int(path.name) for path in root.iterdir() if path.name.isdecimal()]
@@ -69,11 +69,6 @@ class ExecutionFolder(RunFolder):
                     continue  # another execution took the number in the meantime
             (path / "scans").mkdir()
             _sync_folder(root)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise FileError(
-                f"an execution cannot be made in {root}: {reason}; the run folder must be writable"
-            ) from error
         manifest = Manifest(
             schema=SCHEMA,
             status="running",
@@ -96,7 +91,7 @@ class ExecutionFolder(RunFolder):
     def reopen(cls, path: Path, manifest: Manifest) -> "ExecutionFolder":
         """Open the folder of an earlier execution, to report or resume it."""
         seconds = {name: took for name, took in manifest.seconds.items() if name == EXECUTING}
-        return cls(path, path, manifest.but(schema_version=SCHEMA, seconds=seconds), "start", dict(manifest.artefacts))
+        return cls(path, path, manifest.but(schema_version=SCHEMA, seconds=seconds), dict(manifest.artefacts))
 
     def resume(self, argv: list[str], driver: str, **approach: object) -> None:
         """Mark a stopped execution as running in this process, and record its continuation in the manifest.

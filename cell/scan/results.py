@@ -8,12 +8,13 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cell.errors import FileError
+from cell.errors import FileError, errors_as
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.inspection import read_plan
 from cell.metrology import point_files
@@ -21,7 +22,7 @@ from cell.metrology.inspect import inspect_execution
 from cell.metrology.reconstruct import REACH, Reconstruction, reconstruct
 from cell.report import scan_report
 from cell.runs.cell import RunCell, read_cell, scanner_of
-from cell.runs.folder import is_running
+from cell.runs.folder import RunFolder, is_running
 from cell.runs.run import (
     ExecutedScan,
     Execution,
@@ -219,14 +220,20 @@ def _measure(
         if surface.mesh is None:
             folder.remove("mesh.ply")
         else:
-            rng, count = random_stream(seed, Stream.DEVIATION_SAMPLES), session.effort.deviation_samples
-            band = EDGE_BAND * surface.spacing
-            deviation = measure_deviation(
-                surface.mesh, nearest, rng, closed=surface.closed, count=count, edge_band=band
-            )
-            mesh = point_files.mesh_ply(surface.mesh, surface.closed, deviation.at_vertices, source)
-            folder.write_bytes("mesh.ply", mesh)
+            deviation = write_mesh(session, folder, surface.mesh, surface, nearest, seed, source)
     return ExecutionResults(scans, unusable, merged, achieved, surface, deviation, doubts)
+
+
+def write_mesh(
+    session: Session[Any], folder: RunFolder, mesh: TriangleMesh, surface: Reconstruction, nearest: ClosestPointQuery,
+    seed: int, source: str,
+) -> Deviation:  # fmt: skip
+    """Write the mesh of a reconstruction with its deviation from the reference, and return the deviation."""
+    rng, count = random_stream(seed, Stream.DEVIATION_SAMPLES), session.effort.deviation_samples
+    band = EDGE_BAND * surface.spacing
+    deviation = measure_deviation(mesh, nearest, rng, closed=surface.closed, count=count, edge_band=band)
+    folder.write_bytes("mesh.ply", point_files.mesh_ply(mesh, surface.closed, deviation.at_vertices, source))
+    return deviation
 
 
 def _inspect(session: Session[ExecutionFolder], run: Run, recorded: RecordedExecution) -> list[str]:
@@ -402,10 +409,8 @@ def merge_scans(
     if search is not None and rng is not None and clouds:
         vertices = nearest.mesh.vertices
         centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        try:
+        with errors_as(FileError, PlannerError):
             fit = fit_surface(clouds, nearest, centre, search, rng)
-        except PlannerError as error:
-            raise FileError(str(error)) from error
         clouds, poses = [cloud.transformed(fit.T) for cloud in clouds], [fit.T @ pose for pose in poses]
         after = _rms_distance(nearest, clouds)
     if registered and clouds:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import DriverFailureError, FileError, UsageError
+from cell.files import file_errors
 from cell.runs.cell import RunCell
 from cell.runs.digest import SHORT_DIGEST, path_digest
 from cell.runs.run import EXECUTIONS
@@ -234,10 +235,8 @@ def require_room(cell: RunCell, plan: ExecutionPlan, folder: Path) -> None:
             f"{available / 1e9:.3g} GB are available; nothing was moved: give a coarser --resolution"
         )
     stored = total * _STORED_BYTES + _REPORT_BYTES
-    try:
+    with file_errors(f"the free space on the disk of {folder} cannot be read"):
         free = shutil.disk_usage(folder).free
-    except OSError as error:
-        raise FileError(f"the free space on the disk of {folder} cannot be read: {error.strerror}") from error
     if stored > free:
         raise FileError(
             f"the scans need up to {stored / 1e9:.3g} GB on the disk of {folder}, and {free / 1e9:.3g} GB are free; "

@@ -213,9 +213,7 @@ def resumable_options(run: Run, recorded: RecordedExecution) -> ScanOptions:
 def _cell(run: Run, options: ScanOptions, true_part: TriangleMesh | None) -> RunCell:
     """Return the cell of a run, with another part if its true shape is given."""
     cell = read_cell(run, options.resolution_deg)
-    if true_part is None:
-        return cell
-    return cell.with_surface(true_part)
+    return cell if true_part is None else cell.with_surface(true_part)
 
 
 def _approved(verified: VerifiedPlan, plan: ExecutionPlan, view: int | None) -> ApprovedMotion:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.files import file_errors
 from cell.formatting import comma_list
 from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.inspection import inspect_points, read_plan
@@ -45,6 +46,7 @@ from cell.scan.results import (
     source_of,
     surface_values,
     usable_scans,
+    write_mesh,
 )
 from cell.scan.scan import resume, scan
 from cell.session import Session, Stream, random_stream
@@ -57,7 +59,6 @@ from planner.measurability.visibility import find_measured
 from planner.registration.cloud import PointCloud
 from planner.registration.localisation import SearchRange
 from planner.registration.registration import Registration, placement_sd, register
-from planner.registration.surface import EDGE_BAND, measure_deviation
 from planner.values import Bools, Floats
 
 COMBINED = "scanned"
@@ -340,13 +341,7 @@ def _write_combined(
     deviation = None
     with session.stage("measure"):
         if surface.mesh is not None:
-            rng, count = random_stream(first.run.seed, Stream.DEVIATION_SAMPLES), session.effort.deviation_samples
-            band = EDGE_BAND * surface.spacing
-            deviation = measure_deviation(
-                surface.mesh, nearest, rng, closed=surface.closed, count=count, edge_band=band
-            )
-            mesh = point_files.mesh_ply(surface.mesh, surface.closed, deviation.at_vertices, source)
-            folder.write_bytes("mesh.ply", mesh)
+            deviation = write_mesh(session, folder, surface.mesh, surface, nearest, first.run.seed, source)
             scan_report.draw_deviation(folder.path / "deviation.png", surface.mesh, deviation, source)
             folder.adopt("deviation.png")
         samples = held_out_samples(reference, first.cell.planning, first.run.seed)
@@ -407,7 +402,7 @@ def _inspect(
         source=source_of([scan for body in bodies for scan in body.scans]),
         is_simulated=is_simulated,
         on_reference=is_simulated and not any(options_of(read_execution(b.run, b.execution)).actual for b in bodies),
-        aligned="set-ups registered to each other and to the part" if is_registered else "set-ups at their placements",
+        alignment="set-ups " + ("registered to each other and to the part" if is_registered else "at their placements"),
         notes=(
             *([f"U contains the registration of each set-up, with standard deviations of {'; '.join(words)}"]
               if is_registered else ()),
@@ -485,8 +480,6 @@ def _disconnected(numbers: Sequence[int]) -> list[str]:
 
 
 def _remove_folder(path: Path) -> None:
-    try:
+    with file_errors(f"{path} cannot be replaced", "remove it"):
         if path.exists():
             shutil.rmtree(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be replaced: {error.strerror or error}; remove it") from error

@@ -46,7 +46,6 @@ class ScannerPlugin(Scanner, Protocol):
 
         Equal parameters mean equal scanners to the matrix cache. Pictures show `fov_deg` and `range_mm`.
         """
-        ...
 
 
 def names() -> tuple[str, ...]:

@@ -25,9 +25,7 @@ _DEEPEST = 8  # levels of tables and lists; a scene needs four
 
 
 def load_scene(
-    path: Path | None,
-    options: Mapping[str, Mapping[str, object]] | None = None,
-    names: Mapping[str, str] | None = None,
+    path: Path | None, options: Mapping[str, Mapping[str, object]] | None = None, names: Mapping[str, str] | None = None
 ) -> Scene:
     """Read and check a scene file.
 

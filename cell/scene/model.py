@@ -907,9 +907,7 @@ class Part(Table):
     name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
     path: str | None = None
     units: Annotated[
-        Units | None,
-        Field(validate_default=True),
-        Option("Unit of the mesh file. Never guessed.", PART),
+        Units | None, Field(validate_default=True), Option("Unit of the mesh file. Never guessed.", PART)
     ] = None
 
     @field_validator("path")

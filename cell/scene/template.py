@@ -27,11 +27,8 @@ def write_scene(path: Path, part: str | None, units: str | None) -> None:
     text = files.model_file("scene.toml").read_text(encoding="utf-8")
     if part is not None:
         text = re.sub(r'(?m)^name = "\w+"(.*)$', lambda match: _part_lines(path, part, units), text, count=1)
-    try:
-        with files.atomic_write(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}; choose another name") from error
+    with files.file_errors(f"{path} cannot be written", "choose another name"), files.atomic_write(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def _part_lines(scene: Path, part: str, units: str | None) -> str:

@@ -5,14 +5,18 @@ Other pages in the browser can send requests to 127.0.0.1 as well. Host excludes
 other users of the machine.
 """
 
+from __future__ import annotations
+
 import hmac
 import os
 import secrets
 import socket
 import sys
 import webbrowser
+from typing import TYPE_CHECKING
 
-from websockets.http11 import Request
+if TYPE_CHECKING:
+    from websockets.http11 import Request
 
 HOST = "127.0.0.1"
 _COOKIE = "cell-token"

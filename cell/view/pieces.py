@@ -21,7 +21,7 @@ from cell.view.rays import frustum_corners
 from cell.world.model import World
 from cell.world.occluders import geom_triangles, occluders_of_model
 from cell.world.shapes import quaternion
-from planner.geometry.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh, without_unused
 from planner.ports import ARM_AXES
 from planner.values import Bools, Floats, Ints, Value
 
@@ -160,10 +160,9 @@ def with_ignored_faces(cell: CellGeometry, part: TriangleMesh, ignored: Bools | 
     """
     if ignored is None or not ignored.any():
         return cell
-    used, faces = np.unique(part.faces[ignored], return_inverse=True)
-    T = cell.T_part_link_base @ cell.T_base_object
-    vertices = part.vertices[used] @ T[:3, :3].T + T[:3, 3]
-    piece = Piece(IGNORED, cell.part_link, vertices, faces.reshape(-1, 3).astype(np.int32), _rgb("surface"))
+    surface, T = without_unused(part.vertices, part.faces[ignored]), cell.T_part_link_base @ cell.T_base_object
+    vertices = surface.vertices @ T[:3, :3].T + T[:3, 3]
+    piece = Piece(IGNORED, cell.part_link, vertices, surface.faces, _rgb("surface"))
     return replace(cell, pieces=(*cell.pieces, piece))
 
 

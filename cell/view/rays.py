@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from cell.errors import FileError
+from cell.files import file_errors
 from planner.ports import RayCaster
 from planner.values import Floats, Ints, Value
 
@@ -298,8 +298,6 @@ def save_png(image: Image.Image, path: Path) -> None:
     Raises:
         FileError: if it cannot be written.
     """
-    try:
+    with file_errors(f"{path} cannot be written", lower=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         image.save(path, format="png", optimize=False, compress_level=4)
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error

@@ -22,6 +22,7 @@ from cell.view.replay_model import build_replay_model
 from cell.view.replay_options import ReplayOptions
 from cell.view.replay_pictures import PictureInputs, require_empty, write_frames, write_picture
 from cell.view.tightest_moment import tightest_moment
+from cell.view.viewer import Player, play, require_display
 
 
 def replay(
@@ -45,8 +46,6 @@ def replay(
     if options.frames is not None:  # checked before loading, which takes seconds
         require_empty(options.frames)
     if not is_drawn and not options.web:
-        from cell.view.viewer import require_display
-
         require_display()
     with reporter.stage("set up the replay"):
         run = open_run(folder)
@@ -72,6 +71,8 @@ def replay(
         half = float(np.tan(np.radians(playback.replay_model.model.vis.global_.fovy) / 2))
         poses = [playback.timeline.at(t) for t in (0.0, *(stop.begin for stop in playback.timeline.stops))]
         camera = tour_camera(inputs.cell, inputs.part, poses, playback.path, (4, 3), half)
+        tightest = None if playback.tightest is None else playback.tightest.time
+        player = Player(playback.timeline, options.rate, start, tightest)
         if options.web:
             from cell.view.loopback import open_browser
             from cell.view.web_replay import play_web
@@ -80,11 +81,9 @@ def replay(
                 reporter.note(f"the replay is at {address} until Ctrl-C")
                 open_browser(address)
 
-            play_web(playback, camera, show, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
+            play_web(playback, player, camera, show, clock=clock, wait=wait, once=options.once)
         else:
-            from cell.view.viewer import play
-
-            play(playback, camera, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
+            play(playback, player, camera, clock=clock, wait=wait, once=options.once)
     return "; ".join(results)
 
 

@@ -76,10 +76,7 @@ class ReplayModel(Value):
 
 
 def build_replay_model(
-    run: Run,
-    scene: ResolvedScene,
-    reference: TriangleMesh,
-    clouds: Sequence[Floats] = (),
+    run: Run, scene: ResolvedScene, reference: TriangleMesh, clouds: Sequence[Floats] = ()
 ) -> ReplayModel:
     """Return the model for replay.
 

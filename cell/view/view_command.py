@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
-import webbrowser
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from cell import scanners
-from cell.errors import CellError, FileError, UsageError
-from cell.files import atomic_write
+from cell.errors import CellError, UsageError
+from cell.files import atomic_write, file_errors
 from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
 from cell.runs.schema import EXPLORE_FILE, ScannerKeys
 from cell.scene.file import load_scene
@@ -86,11 +83,9 @@ def write_page(text: str, out: Path | None) -> Path:
     path = Path(tempfile.mkdtemp(prefix="cell-view-")) / PAGE_FILE if out is None else out
     if (path.parent / "manifest.json").is_file():
         raise UsageError(f"--out {path} is in the folder of a run, and runs are never changed; choose another folder")
-    try:
-        with atomic_write(path) as beside:  # a browser never reads half a page
-            beside.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error
+    # A browser never reads half a page.
+    with file_errors(f"{path} cannot be written", lower=True), atomic_write(path) as beside:
+        beside.write_text(text, encoding="utf-8")
     return path
 
 
@@ -142,12 +137,3 @@ def _file_stamp(file: Path) -> str:
     except OSError:
         return "none"
     return f"{status.st_mtime_ns}-{status.st_size}"
-
-
-def open_browser(path: Path) -> bool:
-    """Open a page in the user's browser; return False without a browser or a screen."""
-    has_screen = sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    try:
-        return has_screen and webbrowser.open(path.absolute().as_uri())
-    except webbrowser.Error:
-        return False

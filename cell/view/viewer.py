@@ -101,23 +101,21 @@ class Player:
 
 def play(
     playback: Playback,
+    player: Player,
     camera: rays.Camera,
     *,
     clock: Callable[[], float],
     wait: Callable[[float], None],
-    speed: float = 1.0,
-    start: float = 0.0,
     once: bool = False,
 ) -> None:
     """Play in a window until it is closed.
 
     Args:
         playback: model, timeline and marks.
+        player: at the start.
         camera: at the start, with MuJoCo's field of view.
         clock: monotonic [s].
         wait: sleeps for a number of seconds.
-        speed: seconds of the playback per second of the clock.
-        start: first moment [s].
         once: close the window at the end.
 
     Raises:
@@ -129,8 +127,7 @@ def play(
 
     keys: queue.SimpleQueue[int] = queue.SimpleQueue()
     model, data = playback.replay_model.model, playback.data
-    player = Player(playback.timeline, speed, start, None if playback.tightest is None else playback.tightest.time)
-    playback.pose(start)
+    playback.pose(player.t)
     threads_before = set(threading.enumerate())
     with mujoco.viewer.launch_passive(
         model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False

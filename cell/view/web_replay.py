@@ -7,7 +7,7 @@ is bound to 127.0.0.1, and every request is checked (`cell.view.loopback`) befor
 import queue
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 from cell.errors import UsageError
@@ -21,37 +21,36 @@ _MAX_GEOMS = 2000  # of marks; the viewer sends the first 1024
 
 def play_web(
     playback: Playback,
+    player: Player,
     camera: rays.Camera,
     on_ready: Callable[[str], None],
     *,
     clock: Callable[[], float],
     wait: Callable[[float], None],
-    speed: float = 1.0,
-    start: float = 0.0,
     once: bool = False,
 ) -> None:
     """Play in a browser until the command is interrupted.
 
     Args:
         playback: model, timeline and marks.
+        player: at the start.
         camera: at the start.
         on_ready: receives the address.
         clock: monotonic [s].
         wait: sleeps for a number of seconds.
-        speed: seconds of the playback per second of the clock.
-        start: first moment [s].
         once: end at the end of the motion.
 
     Raises:
         UsageError: if this MuJoCo has no web viewer, or another one.
     """
-    confined, launch, panel_type = _viewer()
-    token = loopback.make_token()
-    player = Player(playback.timeline, speed, start, None if playback.tightest is None else playback.tightest.time)
-    playback.pose(start)
-    lock = threading.Lock()
-    panel = panel_type(playback, player, camera, lock)
-    with confined(token) as port, launch(panel) as handle:
+    _require_viewer()
+    from mujoco.studio import launch_web, viewer_protocol
+
+    token, lock = loopback.make_token(), threading.Lock()
+    playback.pose(player.t)
+    panel = _panel_type()(playback, player, camera, lock)
+    config = viewer_protocol.ViewerConfig(title="scan-cell", gfx="web")
+    with _confined(token) as port, launch_web.launch(config, plugins=[panel]) as handle:
         handle.set_model(playback.replay_model.model, data=playback.data)
         on_ready(f"http://{loopback.HOST}:{port()}/?token={token}")
         before = clock()
@@ -65,54 +64,66 @@ def play_web(
             wait(REFRESH)
 
 
-def _viewer() -> tuple[Callable[[str], AbstractContextManager[Callable[[], int]]], Callable[[Any], Any], type[Any]]:
-    """Return functions that confine the viewer inside a block and launch it, and the type of the panel.
+def _require_viewer() -> None:
+    """Check that everything that is replaced or used below exists.
 
     Raises:
         UsageError: if this MuJoCo has no web viewer, or another one.
     """
     try:
-        from mujoco.studio import launch_web, messages, plugin, viewer_protocol, web_viewer
-        from mujoco.studio.dear_imgui import dear_imgui as imgui
+        from mujoco.studio import launch_web, messages, plugin, viewer_protocol, web_viewer  # noqa: F401
+        from mujoco.studio.dear_imgui import dear_imgui  # noqa: F401
         from mujoco.studio.web import web_server
 
-        bind, serve, banner = web_server.bind_public_socket, web_server.serve, web_viewer._print_url_banner
+        _ = web_server.bind_public_socket, web_server.serve, web_viewer._print_url_banner
     except (ImportError, AttributeError) as error:
         raise UsageError(
             f"this MuJoCo has no web viewer that can be confined to this machine ({error}); install mujoco 4.0, or "
             "draw pictures with --frames DIR or --picture FILE.png"
         ) from error
 
-    @contextmanager
-    def confined(token: str) -> Iterator[Callable[[], int]]:
-        ports: queue.SimpleQueue[int] = queue.SimpleQueue()  # the viewer serves in a thread of its own
 
-        def bind_loopback(host: str, port: int = 0) -> Any:
-            return bind(loopback.HOST, port)
+@contextmanager
+def _confined(token: str) -> Iterator[Callable[[], int]]:
+    """Bind the viewer to this machine and check its requests inside the block; yield a function of its port."""
+    from mujoco.studio import web_viewer
+    from mujoco.studio.web import web_server
 
-        async def serve_checked(handler: Any, *, process_request: Any, **keywords: Any) -> Any:
-            port = keywords["sock"].getsockname()[1]
+    bind, serve, banner = web_server.bind_public_socket, web_server.serve, web_viewer._print_url_banner
+    ports: queue.SimpleQueue[int] = queue.SimpleQueue()  # the viewer serves in a thread of its own
 
-            def check(connection: Any, request: Any) -> Any:
-                if reason := loopback.refusal(request, port, token):
-                    return connection.respond(403, f"{reason}\n")
-                response = process_request(connection, request)
-                if response is not None:
-                    response.headers.pop("Access-Control-Allow-Origin", None)
-                    response.headers["Set-Cookie"] = loopback.cookie(port, token)
-                return response
+    def bind_loopback(host: str, port: int = 0) -> Any:
+        return bind(loopback.HOST, port)
 
-            server = await serve(handler, process_request=check, **keywords)
-            ports.put(port)
-            return server
+    async def serve_checked(handler: Any, *, process_request: Any, **keywords: Any) -> Any:
+        port = keywords["sock"].getsockname()[1]
 
-        web_server.bind_public_socket, web_server.serve = bind_loopback, serve_checked
-        web_viewer._print_url_banner = lambda host, port: None  # it names the address of all interfaces
-        try:
-            yield lambda: ports.get(timeout=_PATIENCE_S)
-        finally:
-            web_server.bind_public_socket, web_server.serve = bind, serve
-            web_viewer._print_url_banner = banner
+        def check(connection: Any, request: Any) -> Any:
+            if reason := loopback.refusal(request, port, token):
+                return connection.respond(403, f"{reason}\n")
+            response = process_request(connection, request)
+            if response is not None:
+                response.headers.pop("Access-Control-Allow-Origin", None)
+                response.headers["Set-Cookie"] = loopback.cookie(port, token)
+            return response
+
+        server = await serve(handler, process_request=check, **keywords)
+        ports.put(port)
+        return server
+
+    web_server.bind_public_socket, web_server.serve = bind_loopback, serve_checked
+    web_viewer._print_url_banner = lambda host, port: None  # it names the address of all interfaces
+    try:
+        yield lambda: ports.get(timeout=_PATIENCE_S)
+    finally:
+        web_server.bind_public_socket, web_server.serve = bind, serve
+        web_viewer._print_url_banner = banner
+
+
+def _panel_type() -> type[Any]:
+    """Return the type of the panel."""
+    from mujoco.studio import messages, plugin
+    from mujoco.studio.dear_imgui import dear_imgui as imgui
 
     class Panel(plugin.ViewerPlugin):  # type: ignore[misc]  # mujoco has no types
         """Marks of the moment, and the controls of the playback."""
@@ -158,7 +169,4 @@ def _viewer() -> tuple[Callable[[str], AbstractContextManager[Callable[[], int]]
                     _, player.speed = imgui.SliderFloat("speed", player.speed, *SPEEDS)
             imgui.End()
 
-    def launch(panel: Any) -> Any:
-        return launch_web.launch(viewer_protocol.ViewerConfig(title="scan-cell", gfx="web"), plugins=[panel])
-
-    return confined, launch, Panel
+    return Panel

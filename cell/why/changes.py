@@ -75,21 +75,16 @@ class Changes:
         for count in sorted({1, len(selection)} if selection else ()):
             names = ", ".join(str(int(self.usable[view])) for view in selection[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
-            poses, setting = T[np.array(selection[:count])], f"cell edit RUN --add-candidate {names.replace(' ', '')}"
-            changes.append(
-                PlanChange(ChangeKind.VIEW, count, sentence, setting, poses, self.cell.scanner, self.cell.casters)
-            )
+            setting = f"cell edit RUN --add-candidate {names.replace(' ', '')}"
+            changes.append(self._seen_from(ChangeKind.VIEW, count, sentence, setting, T[np.array(selection[:count])]))
         return changes
 
     def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
         view = self.candidates
-        rolls_deg = _distinct(np.degrees(view.roll) % 360)
+        rolls_deg = np.unique((np.degrees(view.roll) % 360).round(6))
         few = len(rolls_deg) <= 4
-        base = (
-            pick_viewpoints(view, np.flatnonzero(np.isclose(np.degrees(view.roll) % 360, rolls_deg[0])))
-            if few
-            else view
-        )
+        is_first_roll = np.isclose(np.degrees(view.roll) % 360, rolls_deg[0])
+        base = pick_viewpoints(view, np.flatnonzero(is_first_roll)) if few else view
         apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
         standoff_list = ",".join(f"{roll:g}" for roll in rolls_deg)
         yield [
@@ -104,7 +99,7 @@ class Changes:
             if apart[roll] > 1
         ]
 
-        standoffs = _distinct(view.standoff * 1000)
+        standoffs = np.unique((view.standoff * 1000).round(6))
         few = len(standoffs) <= 4
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
         base = pick_viewpoints(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
@@ -161,10 +156,12 @@ class Changes:
         self, kind: ChangeKind, change: float, sentence: str, setting: str, candidates: Viewpoints
     ) -> PlanChange:
         """Return a change to other candidates, as far as they are reachable."""
-        reached = _reachable(candidates, self.world)
-        return PlanChange(
-            kind, change, sentence, setting, candidates.T_object_scanner[reached], self.cell.scanner, self.cell.casters
-        )
+        poses = candidates.T_object_scanner[_reachable(candidates, self.world)]
+        return self._seen_from(kind, change, sentence, setting, poses)
+
+    def _seen_from(self, kind: ChangeKind, change: float, sentence: str, setting: str, poses: Floats) -> PlanChange:
+        """Return a change to other poses (n, K, 4, 4) [m] of the scanner."""
+        return PlanChange(kind, change, sentence, setting, poses, self.cell.scanner, self.cell.casters)
 
 
 def ladder_masks(ladder: Sequence[PlanChange], targets: RayTargets, rows: Ints) -> list[np.ndarray[Any, Any]]:
@@ -194,11 +191,6 @@ def _reachable(views: Viewpoints, world: World) -> Ints:
     return np.flatnonzero(reached.reachable)
 
 
-def _distinct(values: Floats) -> Floats:
-    unique: Floats = np.unique(values.round(6))
-    return unique
-
-
 _FARTHER = (1.1, 1.25, 1.5, 2.0)
 _NEARER = (0.9, 0.75, 0.5, 0.25)
 _FOV_DEG = (10.0, 20.0, 30.0, 40.0, 60.0, 90.0)  # added to both axes
@@ -208,6 +200,7 @@ _FINER = (0.75, 0.5, 0.25)  # of the angle between rays
 _LAST_GRAZING_DEG = 89
 _LIMITS = {ChangeKind.GRAZING, ChangeKind.RANGE, ChangeKind.SPACING}
 _LIMITS |= {ChangeKind.SIGMA, ChangeKind.RESOLUTION, ChangeKind.FOV}
+_Step = tuple[float, float | tuple[float, float], str]  # size, value, sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,9 +229,8 @@ class ScannerChanges:
         ):
             if (now := keys.number(key)) is not None:
                 wider = map(float, range(int(np.floor(now)) + 1, last + 1))
-                yield self._laws(
-                    ChangeKind.GRAZING, key, ((to - now, to, f"{of} {to:g} instead of {now:g} deg") for to in wider)
-                )
+                less_strict = ((to - now, to, f"{of} {to:g} instead of {now:g} deg") for to in wider)
+                yield self._laws(ChangeKind.GRAZING, key, less_strict)
         for key in ("range_mm", "depth_of_field_mm"):
             if (limits := keys.pair(key)) is not None:
                 yield from self._ranges(key, *limits)
@@ -246,16 +238,12 @@ class ScannerChanges:
             if (fov := keys.pair(key)) is not None:
                 h, v = fov
                 steps = [more for more in _FOV_DEG if max(fov) + more < 180]
-                yield self._laws(
-                    ChangeKind.FOV,
-                    key,
-                    ((d, (h + d, v + d), f"{of} {h + d:g} x {v + d:g} deg, not {h:g} x {v:g}") for d in steps),
-                )
+                wider_fovs = ((d, (h + d, v + d), f"{of} {h + d:g} x {v + d:g} deg, not {h:g} x {v:g}") for d in steps)
+                yield self._laws(ChangeKind.FOV, key, wider_fovs)
         if (now := keys.number("fan_deg")) is not None:
             steps = [more for more in _FOV_DEG if now + more < 180]
-            yield self._laws(
-                ChangeKind.FOV, "fan_deg", ((d, now + d, f"fan of {now + d:g} deg instead of {now:g}") for d in steps)
-            )
+            wider_fans = ((d, now + d, f"fan of {now + d:g} deg instead of {now:g}") for d in steps)
+            yield self._laws(ChangeKind.FOV, "fan_deg", wider_fans)
         if (limit := keys.number("max_spacing_mm")) is not None:
             sparser = ((f, f * limit, f"points up to {f * limit:.3g} instead of {limit:g} mm apart") for f in _SIGMAS)
             yield self._laws(ChangeKind.SPACING, "max_spacing_mm", sparser, "--max-spacing {:.3g}")
@@ -275,26 +263,20 @@ class ScannerChanges:
     def _ranges(self, key: str, near: float, far: float) -> Iterator[list[PlanChange]]:
         """Yield farther, then nearer limits of a range."""
         of = key.removesuffix("_mm").replace("_", " ")
-        farther = [to for factor in _FARTHER if (to := round_mm(far * factor)) != far]
-        nearer = [at for factor in _NEARER if (at := round_mm(near * factor)) != near]
-        yield self._laws(
-            ChangeKind.RANGE,
-            key,
-            ((_relative_change(to, far), (near, to), f"{of} to {to:g} instead of {far:g} mm") for to in farther),
+        farther = (
+            (_relative_change(to, far), (near, to), f"{of} to {to:g} instead of {far:g} mm")
+            for factor in _FARTHER
+            if (to := round_mm(far * factor)) != far
         )
-        yield self._laws(
-            ChangeKind.RANGE,
-            key,
-            ((_relative_change(at, near), (at, far), f"{of} from {at:g} instead of {near:g} mm") for at in nearer),
+        nearer = (
+            (_relative_change(at, near), (at, far), f"{of} from {at:g} instead of {near:g} mm")
+            for factor in _NEARER
+            if (at := round_mm(near * factor)) != near
         )
+        yield self._laws(ChangeKind.RANGE, key, farther)
+        yield self._laws(ChangeKind.RANGE, key, nearer)
 
-    def _laws(
-        self,
-        kind: ChangeKind,
-        key: str,
-        steps: Iterable[tuple[float, float | tuple[float, float], str]],
-        option: str = "",
-    ) -> list[PlanChange]:
+    def _laws(self, kind: ChangeKind, key: str, steps: Iterable[_Step], option: str = "") -> list[PlanChange]:
         """Return changes of one scanner key with the same candidates.
 
         Args:
@@ -309,9 +291,7 @@ class ScannerChanges:
             scanner = with_limits(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
             numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
             setting = option.format(value) if option else f"scanner.{key} = {numbers}"
-            changes.append(
-                PlanChange(kind, change, sentence, setting, self.T_object_scanner, scanner, self.cell.casters)
-            )
+            changes.append(self._scanned_with(scanner, kind, change, sentence, setting))
         return changes
 
     def _sigma(self, factor: float, now: float) -> PlanChange:
@@ -319,10 +299,13 @@ class ScannerChanges:
         assert isinstance(self.cell.scanner, LimitedScanner)
         scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
         sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
-        setting = f"--max-sigma {factor * now:.3g}"
-        return PlanChange(
-            ChangeKind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.cell.casters
-        )
+        return self._scanned_with(scanner, ChangeKind.SIGMA, factor, sentence, f"--max-sigma {factor * now:.3g}")
+
+    def _scanned_with(
+        self, scanner: Scanner, kind: ChangeKind, change: float, sentence: str, setting: str
+    ) -> PlanChange:
+        """Return a change to another scanner at the same poses."""
+        return PlanChange(kind, change, sentence, setting, self.T_object_scanner, scanner, self.cell.casters)
 
 
 def _relative_change(value: float, now: float) -> float:
@@ -332,9 +315,7 @@ def _relative_change(value: float, now: float) -> float:
 
 def round_mm(length: float) -> float:
     """A length that a person would name: two digits, or whole tens above 100 mm."""
-    if length >= 100:
-        return float(round(length, -1))
-    return float(f"{length:.2g}")
+    return float(round(length, -1)) if length >= 100 else float(f"{length:.2g}")
 
 
 ROTATIONS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import FileError, UsageError
+from cell.errors import UsageError
+from cell.files import file_errors
 from cell.runs import ply
 from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.folder import SCHEMA, json_text
@@ -267,11 +268,7 @@ class _Trial:
 
 
 def search_changes(
-    changes: Changes,
-    targets: RayTargets,
-    samples: SurfaceSamples,
-    groups: Sequence[Group],
-    progress: Progress,
+    changes: Changes, targets: RayTargets, samples: SurfaceSamples, groups: Sequence[Group], progress: Progress
 ) -> Findings:
     """Try every change, and evaluate the best ones on all samples concerned."""
     if not groups:
@@ -322,11 +319,7 @@ def search_changes(
 
 
 def _try(
-    changes: Changes,
-    targets: RayTargets,
-    samples: SurfaceSamples,
-    groups: Sequence[Group],
-    progress: Progress,
+    changes: Changes, targets: RayTargets, samples: SurfaceSamples, groups: Sequence[Group], progress: Progress
 ) -> _Trial:
     rows = np.sort(np.concatenate([group.rows for group in groups]))
     counts = [max(_MIN_REPRESENTATIVES, round(_REPRESENTATIVES * len(group.rows) / len(rows))) for group in groups]
@@ -498,7 +491,7 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
 def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
     """Write the files and return their folder."""
     target, part = run.folder / FOLDER, run.folder / (FOLDER + ".part")
-    try:
+    with file_errors(f"{target} cannot be written", "the run folder must be writable", lower=True):
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
@@ -510,9 +503,6 @@ def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
         )
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(f"{target} cannot be written: {reason}; the run folder must be writable") from error
     return target
 
 

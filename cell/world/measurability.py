@@ -124,25 +124,24 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
     Raises:
         FileError: if the file cannot be written.
     """
-    try:
-        with atomic_write(path) as temporary, temporary.open("wb") as stream:
-            np.savez(
-                stream,
-                indptr=measurability.indptr,
-                indices=measurability.indices,
-                shape=np.array(measurability.shape, dtype=np.int64),
-                **{name: getattr(measurability.samples, name) for name in _SAMPLE_FIELDS},
-                columns=columns,
-                key=np.frombuffer(key.encode("ascii"), dtype=np.uint8),
-                format=np.array(FORMAT, dtype=np.int64),
-            )
-            stream.flush()
-            os.fsync(stream.fileno())  # after a crash a renamed file could be empty without it
-    except OSError as error:
-        raise FileError(
-            f"the measurability matrix cannot be written to {path}: {error.strerror or error}; choose a folder "
-            "with space that you may write to"
-        ) from error
+    cure = "choose a folder with space that you may write to"
+    with (
+        files.file_errors(f"the measurability matrix cannot be written to {path}", cure),
+        atomic_write(path) as temporary,
+        temporary.open("wb") as stream,
+    ):
+        np.savez(
+            stream,
+            indptr=measurability.indptr,
+            indices=measurability.indices,
+            shape=np.array(measurability.shape, dtype=np.int64),
+            **{name: getattr(measurability.samples, name) for name in _SAMPLE_FIELDS},
+            columns=columns,
+            key=np.frombuffer(key.encode("ascii"), dtype=np.uint8),
+            format=np.array(FORMAT, dtype=np.int64),
+        )
+        stream.flush()
+        os.fsync(stream.fileno())  # after a crash a renamed file could be empty without it
 
 
 def load(path: Path, key: str) -> CachedMatrix:

@@ -201,11 +201,7 @@ def compile_settled(settled: SettledScene, part: TriangleMesh | None = None) -> 
 
 
 def compile_world(
-    scene: Scene,
-    part_vertices: ArrayLike,
-    *,
-    part_faces: ArrayLike | None = None,
-    baseline_mm: float | None = None,
+    scene: Scene, part_vertices: ArrayLike, *, part_faces: ArrayLike | None = None, baseline_mm: float | None = None
 ) -> World:
     """Build and compile the model of a scene. `cell.world.checks` decides whether the scene is feasible.
 

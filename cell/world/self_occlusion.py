@@ -191,10 +191,7 @@ def _without(M: Measurability, view: int, rows: Ints) -> Measurability:
     """Return M without some entries of one column."""
     hidden = np.zeros(M.shape[0], dtype=np.bool_)
     hidden[rows] = True
-    is_retained = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
-    before = np.concatenate([[0], np.cumsum(is_retained)])
-    sigma = None if M.sigma is None else M.sigma[is_retained]
-    return Measurability(before[M.indptr], M.indices[is_retained], M.samples, M.n_viewpoints, sigma)
+    return M.with_entries(~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr))))
 
 
 def _ends(scanner: Scanner) -> Floats:

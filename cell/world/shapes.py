@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cell.errors import SceneError
+from cell.errors import SceneError, errors_as
 from cell.part import mesh_files
 from cell.part.workpiece import UNITS
 from cell.robot import model as robot
@@ -175,10 +175,8 @@ def collision_hull(vertices: Floats, name: str) -> TriangleMesh:
     Raises:
         SceneError: if there is none.
     """
-    try:
+    with errors_as(SceneError, PlannerError):
         return solid_hull(vertices, name)
-    except PlannerError as error:
-        raise SceneError(str(error)) from error
 
 
 def fixture_mesh(fixture: MeshFixture) -> TriangleMesh:

@@ -49,13 +49,7 @@ class RsiController:
     """
 
     def __init__(
-        self,
-        q: Floats,
-        clock: Clock,
-        port: int = 0,
-        cycle_ms: int = 4,
-        injector: Injector | None = None,
-        lag: int = 0,
+        self, q: Floats, clock: Clock, port: int = 0, cycle_ms: int = 4, injector: Injector | None = None, lag: int = 0
     ) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:

@@ -125,6 +125,23 @@ class PtyLine:
         return bytes((byte << 1 & 0xFE | byte >> 5 & 1) ^ 0x80 for byte in data)
 
 
+def listen(port: int, cure: str) -> socket.socket:
+    """Return a listening socket of the loopback interface; port 0 selects a free one.
+
+    Raises:
+        LinkError: if the port is not available, with what to do then.
+    """
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((LOOPBACK, port))
+    except (OSError, OverflowError) as error:
+        listener.close()
+        raise LinkError(f"port {port} of {LOOPBACK} is not available: {error}; {cure}") from error
+    listener.listen()
+    return listener
+
+
 class TcpLine:
     """A listening socket of the loopback interface: no other machine can reach it.
 
@@ -140,16 +157,7 @@ class TcpLine:
     """
 
     def __init__(self, port: int = 0) -> None:
-        self._listener = socket.socket()
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._listener.bind((LOOPBACK, port))
-        except (OSError, OverflowError) as error:
-            self._listener.close()
-            raise LinkError(
-                f"port {port} of {LOOPBACK} is not available: {error}; --port 0 selects a free one"
-            ) from error
-        self._listener.listen()
+        self._listener = listen(port, "--port 0 selects a free one")
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
         self.name = f"{LOOPBACK}:{self.port}"

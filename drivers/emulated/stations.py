@@ -107,16 +107,6 @@ def parse_pdu(pdu: bytes) -> Read | Write | ExceptionResponse:
     return ExceptionResponse(function & 0x7F, ILLEGAL_FUNCTION)
 
 
-def read_response(values: list[int]) -> bytes:
-    """Return the answer to a `Read`."""
-    return struct.pack(f">BB{len(values)}H", READ_INPUT, 2 * len(values), *values)
-
-
-def write_response(request: Write) -> bytes:
-    """Return the answer to a `Write`."""
-    return struct.pack(">BHH", WRITE_HOLDING, request.address, len(request.values))
-
-
 def exception_response(exception: ExceptionResponse) -> bytes:
     """Return the protocol data unit of an exception."""
     return bytes([exception.function | 0x80, exception.code])
@@ -383,7 +373,8 @@ class ModbusStation:
             block = self._blocks[name]
             first = request.address - block.address
             if first >= 0 and first + request.count <= block.registers:
-                return read_response(block.encode(values())[first : first + request.count])
+                read = block.encode(values())[first : first + request.count]
+                return struct.pack(f">BB{len(read)}H", READ_INPUT, 2 * len(read), *read)
         return exception_response(ExceptionResponse(READ_INPUT, ILLEGAL_ADDRESS))
 
     def _write(self, request: Write) -> bytes:
@@ -403,7 +394,7 @@ class ModbusStation:
         if session and session == self.endpoint.owner and self._heartbeat != self._owner_heartbeat:
             self._owner_heartbeat = self._heartbeat  # a block repeated by a gateway is no heartbeat
             self.endpoint.note_activity(session)
-        return write_response(request)
+        return struct.pack(">BHH", WRITE_HOLDING, request.address, len(request.values))
 
     def _command(self, fields: dict[str, int], points: SetPoints) -> Answer:
         sequence, session = fields["sequence"], fields["session"]

@@ -17,8 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.emulated.serve import LOOPBACK
-from drivers.errors import LinkError
+from drivers.emulated.serve import LOOPBACK, listen
 from drivers.profile import Reference, interpolate, resting
 from drivers.setpoints import Floats
 from drivers.wires import rtde
@@ -230,7 +229,7 @@ class UrServer:
 
     def __init__(self, controller: UrController, rtde_port: int = 0, script_port: int = 0) -> None:
         self.controller = controller
-        self._rtde, self._scripts = _listen(rtde_port), _listen(script_port)
+        self._rtde, self._scripts = (listen(port, "choose another one") for port in (rtde_port, script_port))
         ports = (listener.getsockname()[1] for listener in (self._rtde, self._scripts))
         self.url = "ur://{}?rtde_port={}&script_port={}".format(LOOPBACK, *ports)
         self._clients: list[_Client] = []
@@ -361,15 +360,3 @@ class UrServer:
                 client.connection.sendall(client.outputs.pack(values))
             except OSError:
                 self._remove(client)
-
-
-def _listen(port: int) -> socket.socket:
-    listener = socket.socket()
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((LOOPBACK, port))
-    except (OSError, OverflowError) as error:
-        listener.close()
-        raise LinkError(f"port {port} of {LOOPBACK} is not available: {error}; choose another one") from error
-    listener.listen()
-    return listener

@@ -20,7 +20,18 @@ from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, Pr
 from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import PER_DEGREE, SetPoints, axis_name, frozen
-from drivers.wire import Commit, Give, ReopeningLink, Request, Stage, Take, Timeouts, describe_failure, speed_from_wire
+from drivers.wire import (
+    Commit,
+    Give,
+    ReopeningLink,
+    Request,
+    Stage,
+    Take,
+    Timeouts,
+    connect_tcp,
+    describe_failure,
+    speed_from_wire,
+)
 from drivers.wires import kvp, kvp_program
 
 PORT: Final = 7000
@@ -60,14 +71,8 @@ class KvpLine:
             LinkLostError: if nothing answers.
         """
         self.close()
-        try:
-            self._socket = socket.create_connection(self._address, self._seconds + 1.0)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:
-            raise LinkLostError(
-                f"{self.name} cannot be opened: {describe_failure(error)}; check address and network, and that "
-                "KUKAVARPROXY or C3 Bridge runs on the controller"
-            ) from error
+        what = "KUKAVARPROXY or C3 Bridge runs on the controller"
+        self._socket = connect_tcp(self._address, self._seconds, what)
 
     @property
     def is_open(self) -> bool:
@@ -231,8 +236,8 @@ class KvpLink(ReopeningLink):
 
     def _order(self, sequence: int, kind: int, count: int, percent: int) -> Answer:
         self._retry(self._beat)
-        order = {"SESSION": self.session, "NUMBER": sequence, "KIND": kind, "COUNT": count, "SPEED": percent}
-        self._ask("SC_ORDER", _aggregate("SC_ORDER_T", order))
+        order = f"SESSION {self.session},NUMBER {sequence},KIND {kind},COUNT {count},SPEED {percent}"
+        self._ask("SC_ORDER", f"{{SC_ORDER_T: {order}}}")
         deadline = self._clock.now() + self._timeouts.answer + _PROGRAM_ANSWER
         while self._clock.now() < min(deadline, self.deadline):
             state = self._state_of_program()
@@ -247,10 +252,8 @@ class KvpLink(ReopeningLink):
             if self._clock.now() - self._beaten > self._timeouts.watchdog / _BEATS:
                 self._beat()
             axes = ",".join(f"{name} {count / PER_DEGREE:.4f}" for name, count in zip(self._axes, point, strict=True))
-            self._ask(
-                f"SC_POINT[{number}]",
-                f"{{SC_POINT_T: SESSION {self.session},NUMBER {sequence},AXES {{E6AXIS: {axes}}}}}",
-            )
+            content = f"SESSION {self.session},NUMBER {sequence},AXES {{E6AXIS: {axes}}}"
+            self._ask(f"SC_POINT[{number}]", f"{{SC_POINT_T: {content}}}")
 
     def _await_zero(self, name: str, subject: str) -> None:
         """Wait until the program has read a variable."""
@@ -321,10 +324,6 @@ class KvpLink(ReopeningLink):
             path=FULL if mode is Mode.IN_POSITION else min(own["PASSED"] * FULL // self._n_via, FULL - 1),
         )
         return replace(state, flags=state.flags | Flag.HELD) if is_held else state
-
-
-def _aggregate(kind: str, values: dict[str, int]) -> str:
-    return f"{{{kind}: {','.join(f'{name} {value}' for name, value in values.items())}}}"
 
 
 class KvpDriver(ControllerClient):

@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers.limits import Limits
 from drivers.setpoints import AXES, PER_DEGREE, Floats
+from drivers.wires.controller_files import encoded, filled_file
 
 NAME: Final = "sc_rsi"
 PORT: Final = 49152
@@ -116,15 +117,16 @@ def files(address: str, port: int, limits: Limits, *, cycle_ms: int) -> dict[str
         cycle_ms: 4 or 12.
     """
     spans = (limits.upper.astype(np.float64) - limits.lower)[:AXES] / PER_DEGREE
-    contents = {
-        f"{NAME}.src": _PROGRAM.replace("<MODE>", "#ABSOLUTE,#IPO_FAST" if cycle_ms == 4 else "#ABSOLUTE,#IPO"),
-        f"{NAME}.rsi.xml": _signal_flow(spans),
-        f"{NAME}_ethernet.xml": _configuration(address, port),
+    mode = "#ABSOLUTE,#IPO_FAST" if cycle_ms == 4 else "#ABSOLUTE,#IPO"
+    return {
+        f"{NAME}.src": filled_file(f"{NAME}.src", {"MODE": mode}),
+        f"{NAME}.rsi.xml": encoded(_signal_flow(spans)),
+        f"{NAME}_ethernet.xml": filled_file(f"{NAME}_ethernet.xml", _configuration(address, port)),
     }
-    return {name: text.lstrip("\n").replace("\n", "\r\n").encode("ascii") for name, text in contents.items()}
 
 
-def _configuration(address: str, port: int) -> str:
+def _configuration(address: str, port: int) -> dict[str, object]:
+    """Return the values of the configuration of the telegrams."""
     sent = "".join(
         f'      <ELEMENT TAG="AxisCorrMon.{name}" TYPE="DOUBLE" INDX="{number}" />\n'
         for number, name in enumerate(_AXES, start=1)
@@ -133,30 +135,10 @@ def _configuration(address: str, port: int) -> str:
         f'      <ELEMENT TAG="AKorr.{name}" TYPE="DOUBLE" INDX="{number}" HOLDON="1" />\n'
         for number, name in enumerate(_AXES, start=1)
     )
-    return f"""
-<ROOT>
-  <!-- telegrams between the controller and rsi:// of scan-cell; IP_NUMBER and PORT are those of the computer -->
-  <CONFIG>
-    <IP_NUMBER>{address}</IP_NUMBER>
-    <PORT>{port}</PORT>
-    <SENTYPE>{SENDER}</SENTYPE>
-    <ONLYSEND>FALSE</ONLYSEND>
-  </CONFIG>
-  <SEND>
-    <ELEMENTS>
-      <ELEMENT TAG="DEF_AIPos" TYPE="DOUBLE" INDX="INTERNAL" />
-      <ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL" />
-{sent}    </ELEMENTS>
-  </SEND>
-  <RECEIVE>
-    <!-- HOLDON="1": after a late answer the axes stay where they are -->
-    <ELEMENTS>
-      <ELEMENT TAG="DEF_EStr" TYPE="STRING" INDX="INTERNAL" />
-{received}      <ELEMENT TAG="MoveStop" TYPE="BOOL" INDX="{AXES + 1}" HOLDON="0" />
-    </ELEMENTS>
-  </RECEIVE>
-</ROOT>
-"""
+    return {
+        "ADDRESS": address, "PORT_NUMBER": port, "SENDER": SENDER, "SENT": sent, "RECEIVED": received,
+        "STOP_INDEX": AXES + 1,
+    }  # fmt: skip
 
 
 def _signal_flow(spans: Floats) -> str:
@@ -186,7 +168,7 @@ def _signal_flow(spans: Floats) -> str:
     )
     schema = "/Roboter/Config/System/Common/Schemes/RSIContext.xsd"
     return (
-        '\n<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n'
+        '<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n'
         f'<RSIObjects xsi:noNamespaceSchemaLocation="{schema}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">\n'
         + element("AXISCORR", 33, wires(AXES, 1), lower + upper)
         + element("STOP", 18, wires(1, AXES + 1), parameter("Mode", 1, 4))
@@ -194,37 +176,3 @@ def _signal_flow(spans: Floats) -> str:
         + element("AXISCORRMON", 82, "", monitor)
         + "</RSIObjects>\n"
     )
-
-
-_PROGRAM = """
-&ACCESS RVP
-&REL 1
-DEF SC_RSI( )
-DECL INT CONTEXT,ANSWER
-; drives by the corrections of the client rsi:// of scan-cell; start the client first, then this program
-;FOLD INI
-;FOLD BASISTECH INI
-GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )
-INTERRUPT ON 3
-BAS (#INITMOV,0 )
-;ENDFOLD (BASISTECH INI)
-;ENDFOLD (INI)
-; block coincidence without motion
-PTP $AXIS_ACT
-LOOP
-   ANSWER=RSI_CREATE("sc_rsi.rsi",CONTEXT,TRUE)
-   IF (ANSWER<>RSIOK) THEN
-      HALT ; the signal flow is missing or wrong
-   ENDIF
-   ; corrections are absolute: from the axes at this moment
-   ANSWER=RSI_ON(<MODE>)
-   IF (ANSWER<>RSIOK) THEN
-      HALT ; RSI did not start
-   ENDIF
-   ; the client drives until it ends the motion
-   RSI_MOVECORR( )
-   ANSWER=RSI_OFF( )
-   HALT ; the client has ended; start again for the next one
-ENDLOOP
-END
-"""

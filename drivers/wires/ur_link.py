@@ -36,7 +36,7 @@ from drivers.limits import Limits
 from drivers.profile import interpolate
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import AXES, PER_DEGREE, SetPoints, from_rad, to_rad
-from drivers.wire import Timeouts, describe_failure
+from drivers.wire import Timeouts, connect_tcp, describe_failure
 from drivers.wires import rtde
 from drivers.wires.rtde import Package, Recipe
 
@@ -124,14 +124,7 @@ class UrLink:
 
     def _start(self) -> Capabilities:
         """Connect and set up the output recipe."""
-        try:
-            self._socket = socket.create_connection((self._host, self._rtde_port), self._timeouts.answer + 1.0)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:
-            raise LinkLostError(
-                f"{self._name} cannot be opened: {describe_failure(error)}; check address and network, and that the "
-                "controller is on"
-            ) from error
+        self._socket = connect_tcp((self._host, self._rtde_port), self._timeouts.answer, "the controller is on")
         if self._ask(Package.VERSION, rtde.VERSION.to_bytes(2, "big")) != b"\x01":
             raise ProtocolError(f"{self._name} has no RTDE of version {rtde.VERSION}; update the controller's software")
         request = np.array([_FREQUENCY], dtype=">f8").tobytes() + ",".join(OUTPUTS).encode()

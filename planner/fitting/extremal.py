@@ -97,9 +97,9 @@ def surround(points: Floats, shape: Shape) -> bool:
     J[:, [TILT_X, TILT_Y]] /= along if along > 0 else 1.0
     n = len(free)
     A = np.hstack([-J[:, free], np.ones((len(points), 1))])  # each distance grows by at least the last variable
-    solved = linprog([0.0] * n + [-1.0], A, np.zeros(len(A)), bounds=[(-1, 1)] * n + [(0, 1)], method="highs").x
-    assert solved is not None, "the origin is a solution"
-    return bool(solved[n] < _ROOM)
+    solution = linprog([0.0] * n + [-1.0], A, np.zeros(len(A)), bounds=[(-1, 1)] * n + [(0, 1)], method="highs").x
+    assert solution is not None, "the origin is a solution"
+    return bool(solution[n] < _ROOM)
 
 
 def _with_changes(shape: Shape) -> tuple[Shape, list[int]]:
@@ -123,7 +123,7 @@ def _program(criterion: Criterion, shape: Shape, points: Floats, free: list[int]
     """Return the change (7,) that is best for the linearised distances, at most `trust` in each component."""
     distances, J = shape.distances(points), shape.jacobian(points)[:, free]
     order = np.argsort(distances, kind="stable")
-    chosen = np.unique(np.concatenate([order[:_CRITICAL], order[-_CRITICAL:]]))
+    critical = np.unique(np.concatenate([order[:_CRITICAL], order[-_CRITICAL:]]))
     n = len(free)
     cost = np.zeros(n + 2)  # the components, the lower and the upper end of the zone
     cost[n] = 0.0 if criterion is Criterion.CIRCUMSCRIBED else -1.0
@@ -131,18 +131,18 @@ def _program(criterion: Criterion, shape: Shape, points: Floats, free: list[int]
     bounds = [(-trust, trust)] * n + [(None, None)] * 2
     change = np.zeros(N_COMPONENTS)
     while True:
-        one, zero = np.ones((len(chosen), 1)), np.zeros((len(chosen), 1))
-        A = np.block([[-J[chosen], one, zero], [J[chosen], zero, -one]])
-        b = np.concatenate([distances[chosen], -distances[chosen]])
-        solved = linprog(cost, A, b, bounds=bounds, method="highs").x
-        assert solved is not None, "a bounded zone around points always exists"
-        reached = distances + J @ solved[:n]
-        low = -np.inf if criterion is Criterion.CIRCUMSCRIBED else reached[chosen].min()
-        high = np.inf if criterion is Criterion.INSCRIBED else reached[chosen].max()
+        one, zero = np.ones((len(critical), 1)), np.zeros((len(critical), 1))
+        A = np.block([[-J[critical], one, zero], [J[critical], zero, -one]])
+        b = np.concatenate([distances[critical], -distances[critical]])
+        solution = linprog(cost, A, b, bounds=bounds, method="highs").x
+        assert solution is not None, "a bounded zone around points always exists"
+        reached = distances + J @ solution[:n]
+        low = -np.inf if criterion is Criterion.CIRCUMSCRIBED else reached[critical].min()
+        high = np.inf if criterion is Criterion.INSCRIBED else reached[critical].max()
         beyond = np.flatnonzero((reached < low - 1e-12) | (reached > high + 1e-12))
-        beyond = np.setdiff1d(beyond, chosen)
+        beyond = np.setdiff1d(beyond, critical)
         if not len(beyond):
-            change[free] = solved[:n]
+            change[free] = solution[:n]
             return change
         worst = np.argsort(-np.maximum(low - reached[beyond], reached[beyond] - high), kind="stable")
-        chosen = np.union1d(chosen, beyond[worst[:_CRITICAL]])
+        critical = np.union1d(critical, beyond[worst[:_CRITICAL]])

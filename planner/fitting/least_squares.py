@@ -67,11 +67,6 @@ class Fit(Value):
     doubts: tuple[str, ...] = ()
 
     @property
-    def is_unique(self) -> bool:
-        """Whether the points determine the shape."""
-        return not self.doubts
-
-    @property
     def rms(self) -> float:
         """Root mean square distance of the points from the shape [m]."""
         return float(np.sqrt(np.mean(self.residuals**2)))
@@ -133,11 +128,11 @@ def _solve(kind: ShapeKind, points: Floats, start: Shape | None, w: Floats) -> t
         starts = [_descend(each, points, w, _ROUGH_STEPS) for each in starts]
         rough = np.array([_cost(each, points, w) for each in starts])
         starts = [each for each, cost in zip(starts, rough, strict=True) if cost <= _CLOSE * rough.min() + 1e-24]
-    found = [_refine(each, points, w) for each in starts]
-    costs = np.array([_cost(each, points, w) for each in found])
-    best = found[int(costs.argmin())]
+    shapes = [_refine(each, points, w) for each in starts]
+    costs = np.array([_cost(each, points, w) for each in shapes])
+    best = shapes[int(costs.argmin())]
     limit = costs.min() * (1 + _EQUAL) + 1e-24 * len(points)
-    others = [each for each, cost in zip(found, costs, strict=True) if cost <= limit and _differ(best, each)]
+    others = [each for each, cost in zip(shapes, costs, strict=True) if cost <= limit and _differ(best, each)]
     return best, others
 
 
@@ -208,9 +203,9 @@ def _step(shape: Shape, points: Floats, w: Floats, damping: float = 0.0) -> Floa
     J = root[:, None] * shape.jacobian(points)[:, components]
     J = np.concatenate([J, np.sqrt(damping) * np.eye(len(components))])
     target = np.concatenate([-root * shape.distances(points), np.zeros(len(components))])
-    found = np.zeros(N_COMPONENTS)
-    found[components] = np.linalg.lstsq(J, target, rcond=None)[0]
-    return found
+    change = np.zeros(N_COMPONENTS)
+    change[components] = np.linalg.lstsq(J, target, rcond=None)[0]
+    return change
 
 
 def _descend(shape: Shape, points: Floats, w: Floats, iterations: int) -> Shape:
@@ -254,9 +249,9 @@ def _starts(kind: ShapeKind, points: Floats, w: Floats) -> list[Shape]:
     axes = np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
     axes = np.concatenate([axes, np.linalg.svd(points, full_matrices=False)[2]])
     build: Callable[[Floats, Floats, Floats], Shape] = _cylinder_about if kind is ShapeKind.CYLINDER else _cone_about
-    found = [build(axis, points, w) for axis in axes]
-    order = np.argsort([_cost(each, points, w) for each in found], kind="stable")[:_STARTS]
-    return [found[int(index)] for index in order]
+    shapes = [build(axis, points, w) for axis in axes]
+    order = np.argsort([_cost(each, points, w) for each in shapes], kind="stable")[:_STARTS]
+    return [shapes[int(index)] for index in order]
 
 
 def _cylinder_about(axis: Floats, points: Floats, w: Floats) -> Shape:
@@ -318,5 +313,5 @@ def _planar_circle(plane: Shape, points: Floats, w: Floats) -> Shape:
 def _differ(a: Shape, b: Shape) -> bool:
     """Return whether two cylinders or cones of points of unit extent are different."""
     turned = np.linalg.norm(np.cross(a.axis, b.axis))
-    moved = np.linalg.norm(a.at_foot(np.zeros(3)).point - b.at_foot(np.zeros(3)).point)
-    return bool(max(float(turned), float(moved), abs(a.size - b.size), abs(a.half_angle - b.half_angle)) > _OTHER)
+    distance = np.linalg.norm(a.at_foot(np.zeros(3)).point - b.at_foot(np.zeros(3)).point)
+    return bool(max(float(turned), float(distance), abs(a.size - b.size), abs(a.half_angle - b.half_angle)) > _OTHER)

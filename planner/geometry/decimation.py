@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from planner.errors import PlannerError
-from planner.geometry.mesh import TriangleMesh, face_cross_products, row_norms
+from planner.geometry.mesh import TriangleMesh, face_cross_products, row_norms, without_unused
 from planner.values import Bools, Floats, Ints, Ints32
 
 CLUSTERING_RATIO = 2.5
@@ -170,12 +170,7 @@ def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
     remaining = np.delete(remaining, order[1:][again], axis=0)
     if not len(remaining):
         raise PlannerError("no face of the mesh has an area; a surface needs at least one")
-    return _without_unused(vertices, remaining)
-
-
-def _without_unused(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
-    used, compact = np.unique(faces, return_inverse=True)
-    return TriangleMesh(vertices[used], compact.reshape(-1, 3).astype(np.int32))
+    return without_unused(vertices, remaining)
 
 
 def cluster_vertices(mesh: TriangleMesh, face_count: int) -> TriangleMesh | None:
@@ -200,7 +195,7 @@ def cluster_vertices(mesh: TriangleMesh, face_count: int) -> TriangleMesh | None
     faces = cell.astype(np.int32)[mesh.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     remaining = _cancel_opposite(faces, len(vertices))
-    return _without_unused(vertices, remaining) if len(remaining) else None
+    return without_unused(vertices, remaining) if len(remaining) else None
 
 
 def _thin_share(mesh: TriangleMesh, cell: Ints) -> float:

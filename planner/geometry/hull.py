@@ -8,7 +8,7 @@ reaches into a mug.
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.geometry.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh, without_unused
 from planner.values import Floats
 
 MIN_THICKNESS = 2e-4  # m; far below any useful clearance, and still a solid for the engine
@@ -47,8 +47,7 @@ def solid_hull(vertices: Floats, name: str = "part") -> TriangleMesh:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = np.einsum("fj,fj->f", normals, hull.equations[:, :3]) < 0
     simplices = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    used, compact = np.unique(simplices, return_inverse=True)
-    return TriangleMesh(local[used] + middle, compact.reshape(-1, 3).astype(np.int32))
+    return without_unused(local + middle, simplices)
 
 
 def _thickened(points: Floats) -> Floats:

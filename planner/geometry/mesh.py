@@ -110,6 +110,12 @@ def concatenate_meshes(pieces: Iterable[tuple[Floats, NDArray[np.integer]]]) -> 
     return np.concatenate(vertices), np.concatenate(faces), np.repeat(np.arange(len(counts)), counts)
 
 
+def without_unused(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
+    """Return faces (F, 3) with the vertices that they use, in the same order."""
+    used, compact = np.unique(faces, return_inverse=True)
+    return TriangleMesh(vertices[used], compact.reshape(-1, 3).astype(np.int32))
+
+
 def cut_at_plane(mesh: TriangleMesh, axis: int, at: float) -> tuple[TriangleMesh, Ints]:
     """Cut the triangles that cross a plane; the surface stays the same and shared edges stay shared.
 

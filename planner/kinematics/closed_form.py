@@ -346,10 +346,7 @@ class ParallelAxes:
             u, v = x - arm.d5 * sp, z - arm.d5 * cp
             square = u * u + v * v
             rho = np.sqrt(square)
-            longest, shortest = (
-                abs(arm.a2) + abs(arm.a3),
-                abs(abs(arm.a2) - abs(arm.a3)),
-            )
+            longest, shortest = abs(arm.a2) + abs(arm.a3), abs(abs(arm.a2) - abs(arm.a3))
             real = aside & (rho <= longest + STRETCH_TOLERANCE) & (rho >= shortest - STRETCH_TOLERANCE)
             heron = np.maximum((longest - rho) * (longest + rho) * (rho - shortest) * (rho + shortest), 0.0)
             bend = np.sqrt(heron)  # 2 a2 a3 sin t3

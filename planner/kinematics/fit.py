@@ -159,8 +159,7 @@ def _adjusted(fit: Fit, chain: Chain, q: Floats) -> Fit:
 
     def moved(x: Floats) -> Fit:
         lengths = replace(
-            fit.form.lengths,
-            **{name: getattr(fit.form.lengths, name) + d for name, d in zip(names, x, strict=False)},
+            fit.form.lengths, **{name: getattr(fit.form.lengths, name) + d for name, d in zip(names, x, strict=False)}
         )
         root_twist, end_twist, offsets = np.split(x[len(names) :], (6, 12))
         return replace(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.geometry.sampling import SurfaceSamples, join_samples
-from planner.values import Ints, Ints32, Value, freeze
+from planner.values import Bools, Ints, Ints32, Value, freeze
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -69,6 +69,12 @@ class Measurability(Value):
         matrix.has_canonical_format = True
         return matrix
 
+    def with_entries(self, retained: Bools) -> "Measurability":
+        """Return the matrix with the selected ones of its (nnz,) entries."""
+        before = np.concatenate([[0], np.cumsum(retained)])
+        sigma = None if self.sigma is None else self.sigma[retained]
+        return replace(self, indptr=before[self.indptr], indices=self.indices[retained], sigma=sigma)
+
 
 def join_measurability(parts: Sequence[Measurability]) -> Measurability:
     """Join the columns of matrices with the same samples; keep sigma if every part has it."""
@@ -85,6 +91,13 @@ def join_measurability(parts: Sequence[Measurability]) -> Measurability:
         for part, sigma in zip(parts, sigmas, strict=True)
     ]
     return _from_csr(hstack(stacks, format="csr"), parts[0].samples, has_sigma=True)
+
+
+def measurability_of(seen: Bools, samples: SurfaceSamples) -> Measurability:
+    """Return the matrix of (S, n) measured samples."""
+    from scipy.sparse import csr_array
+
+    return _from_csr(csr_array(seen), samples)
 
 
 def pick_measurability(measurability: Measurability, which: NDArray[np.integer]) -> Measurability:

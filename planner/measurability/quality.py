@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import require_candidates
 from planner.ports import RayCaster, Rejection, Scanner, SigmaScanner
 from planner.values import Bools, Floats, Ints32
 from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view, lines_of_sight_free
@@ -152,10 +153,7 @@ def sigma_layer(
             say which of them measured the sample.
     """
     samples = measurability.samples
-    if len(viewpoints) != measurability.n_viewpoints:
-        raise PlannerError(
-            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
-        )
+    require_candidates(viewpoints, measurability)
     K = viewpoints.T_object_scanner.shape[1]
     if K > 1 and not casters:
         raise PlannerError(f"viewpoints of {K} poses need `casters`: M does not say which pose measured a sample")
@@ -188,22 +186,11 @@ def within_sigma(measurability: Measurability, max_sigma: float) -> Measurabilit
     sigma = _sigma_of(measurability)
     if not max_sigma > 0:
         raise PlannerError(f"the limit on sigma is {max_sigma} m; it must be above 0")
-    is_precise = sigma <= np.float32(max_sigma)
-    before = np.concatenate([[0], np.cumsum(is_precise)])
-    return replace(
-        measurability,
-        indptr=before[measurability.indptr],
-        indices=measurability.indices[is_precise],
-        sigma=sigma[is_precise],
-    )
+    return measurability.with_entries(sigma <= np.float32(max_sigma))
 
 
 def best_values(
-    quantities: Sequence[_Quantity],
-    T_object_scanner: Floats,
-    samples: SurfaceSamples,
-    seen: Bools,
-    scanner: Scanner,
+    quantities: Sequence[_Quantity], T_object_scanner: Floats, samples: SurfaceSamples, seen: Bools, scanner: Scanner
 ) -> list[Floats]:
     """Return the smallest value of quantities such as sigma and spacing over the views that measure each sample.
 

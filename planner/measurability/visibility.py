@@ -150,10 +150,7 @@ def _unoccluded_pairs(
     (V,) only usable viewpoints are tested.
     """
     samples = measurability.samples
-    if len(viewpoints) != measurability.n_viewpoints:
-        raise PlannerError(
-            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
-        )
+    require_candidates(viewpoints, measurability)
     K = viewpoints.T_object_scanner.shape[1]
     if K > 1 and ray_caster is None:
         raise PlannerError(f"viewpoints of {K} poses need `ray_caster`: M does not say which pose measured a sample")
@@ -172,6 +169,14 @@ def _unoccluded_pairs(
         return in_view(targets, poses[pose], scanner, entries) if K > 1 or has_region_limits else entries
 
     return visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if is_open is None else len(samples))
+
+
+def require_candidates(viewpoints: Viewpoints, measurability: Measurability) -> None:
+    """Refuse other candidates than those of M."""
+    if len(viewpoints) != measurability.n_viewpoints:
+        raise PlannerError(
+            f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
+        )
 
 
 def find_measured(

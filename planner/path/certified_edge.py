@@ -44,20 +44,6 @@ def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
     return np.clip(from_steps(np.clip(to_steps(q), *range_in_steps(limits))), limits.lower, limits.upper)
 
 
-def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats:
-    """Return the configurations of a straight segment whose freedom certifies all of it (see the module's proof).
-
-    Args:
-        q_from: (axes,) [rad].
-        q_to: (axes,) [rad].
-        checker: gives clearance (which must be above 0) and travel.
-
-    Returns:
-        (n + 1, axes) evenly spaced configurations with both ends; (1, axes) if the ends are equal.
-    """
-    return _subdivide_many(q_from[None], q_to[None], checker)[0]
-
-
 def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[bool, int]:
     """Certify one segment (axes,) [rad]; see `certify_many`."""
     certified, checks = certify_many(q_from[None], q_to[None], checker)
@@ -69,7 +55,7 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
 
     The checks run in bisection order in growing batches; for a segment they stop at the first batch with a collision.
     """
-    segments = _subdivide_many(q_from, q_to, checker)
+    segments = subdivide(q_from, q_to, checker)
     waiting = [_bisection_batches(len(s)) for s in segments]
     certified, checks, active = np.ones(len(segments), dtype=bool), 0, list(range(len(segments)))
     while active:
@@ -86,8 +72,17 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
     return certified, checks
 
 
-def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
-    """Subdivide segments (N, axes), with one call for all travels."""
+def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
+    """Return the configurations of straight segments whose freedom certifies all of each (see the module's proof).
+
+    Args:
+        q_from: (N, axes) [rad].
+        q_to: (N, axes) [rad].
+        checker: gives clearance (which must be above 0) and travel, in one call for all segments.
+
+    Returns:
+        For each segment, (n + 1, axes) evenly spaced configurations with both ends; (1, axes) if the ends are equal.
+    """
     allowed = STEP * checker.clearance
     if not allowed > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")

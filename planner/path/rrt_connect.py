@@ -16,10 +16,7 @@ from planner.values import Bools, Floats
 _STEP_CHECKS = 32  # checks per tree edge: long enough for large batches, short enough to bend around a part
 _FEWEST_CHECKS = 4  # a blocked step is tried once more at this length, to enter narrow gaps
 _NEAR_SHARE = 0.6  # share of the targets drawn around the straight line; the rest covers the full joint range
-_BEFORE_BRIDGES, _BRIDGE_SHARE = (
-    20,
-    0.2,
-)  # rounds before narrow places are searched, and probability per round
+_BEFORE_BRIDGES, _BRIDGE_SHARE = 20, 0.2  # rounds before narrow places are searched, and probability per round
 _BRIDGES = 256  # bridges tested at once
 _BRIDGE_LENGTH = (-2.0, -0.3)  # decimal logarithm of their half-lengths [m], 1 cm to 50 cm
 _SLIDES, _SLIDE_STEPS = 40, 48  # most slides towards a narrow place, and random steps drawn for each

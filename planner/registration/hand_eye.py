@@ -378,8 +378,8 @@ def _least_median(
 def _sphere_through(points: Floats) -> Surface:
     """Fit the algebraic least-squares sphere: |p|^2 = 2 c . p + (r^2 - |c|^2)."""
     A = np.column_stack([2 * points, np.ones(len(points))])
-    solved = np.linalg.lstsq(A, (points**2).sum(axis=1), rcond=None)[0]
-    return solved[:3], float(np.sqrt(max(solved[3] + solved[:3] @ solved[:3], 0.0)))
+    solution = np.linalg.lstsq(A, (points**2).sum(axis=1), rcond=None)[0]
+    return solution[:3], float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))
 
 
 def _distance_to_sphere(points: Floats, sphere: Surface) -> Floats:

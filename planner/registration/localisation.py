@@ -87,7 +87,7 @@ def fit_surface(
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     farthest = float(np.linalg.norm(vertices - centre, axis=1).max())
     reach = search.distance + 2 * np.sin(search.angle / 2) * farthest
-    near = [_points_within(cloud, nearest, reach) for cloud in views]
+    near = [ScanCloud(each.points[nearest.closest(each.points).distance <= reach], each.sensor) for each in views]
     if sum(map(len, near)) < MIN_MATCHES:
         raise PlannerError(
             f"only {sum(map(len, near))} points lie within {1000 * reach:.0f} mm of the nominal part, and "
@@ -236,10 +236,6 @@ class _BodyFit:
         count = self._held.shape[1]
         free = recentre_directions(self._held, points_centre - self._centre, (self._length, own_length))
         return (np.linalg.svd(free)[0][:, count:] if count else np.eye(6)), free
-
-
-def _points_within(cloud: ScanCloud, nearest: ClosestPointQuery, reach: float) -> ScanCloud:
-    return ScanCloud(cloud.points[nearest.closest(cloud.points).distance <= reach], cloud.sensor)
 
 
 def _start_motions(search: SearchRange, centre: Floats, rng: np.random.Generator) -> list[Floats]:

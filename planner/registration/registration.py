@@ -334,15 +334,15 @@ def fit_majority(points: Floats, nearest: ClosestPointQuery, T: Floats, reach: f
         rounds: of closest points.
     """
     for number in range(rounds):
-        there = transform_points(T, points)
-        closest = nearest.closest(there)
+        points_on_part = transform_points(T, points)
+        closest = nearest.closest(points_on_part)
         near = closest.distance <= reach
         if near.sum() < MIN_MATCHES:
             break
-        normals, centre = nearest.normals(closest)[near], there[near].mean(axis=0)
-        off = np.einsum("nj,nj->n", (there - closest.point)[near], normals)
-        length = float(np.sqrt(((there[near] - centre) ** 2).sum(axis=1).mean()))
-        J = np.hstack([normals, np.cross((there[near] - centre) / length, normals)])
+        normals, centre = nearest.normals(closest)[near], points_on_part[near].mean(axis=0)
+        off = np.einsum("nj,nj->n", (points_on_part - closest.point)[near], normals)
+        length = float(np.sqrt(((points_on_part[near] - centre) ** 2).sum(axis=1).mean()))
+        J = np.hstack([normals, np.cross((points_on_part[near] - centre) / length, normals)])
         change = np.zeros(6)
         for _ in range(_WEIGHTINGS):
             left = np.abs(off + J @ change)

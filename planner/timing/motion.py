@@ -82,11 +82,9 @@ class TimedLine(Protocol):
     @property
     def times(self) -> Floats:
         """(m,) times of its via points after its start [s], from 0; the last is its duration."""
-        ...
 
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """Return (n, axes) angles [rad], speeds [rad/s], accelerations [rad/s^2] at (n,) times from its start [s]."""
-        ...
 
 
 def retime(

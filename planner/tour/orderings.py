@@ -74,7 +74,6 @@ class Ordering(Protocol):
         start: Ints | None = ...,
     ) -> OrderedViews:
         """Order views."""
-        ...
 
 
 def order_views(

@@ -22,7 +22,7 @@ FINISHED = (0, 3)
 
 @pytest.fixture(autouse=True)
 def _no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cell.view.view_command.open_browser", lambda path: path.is_file())
+    monkeypatch.setattr("cell.view.loopback.open_browser", lambda address: address.startswith("file:"))
 
 
 def printed_commands(process: "CompletedProcess[str]") -> list[list[str]]:

@@ -38,7 +38,7 @@ def test_two_checked_neighbours_are_less_than_a_clearance_apart(
 ) -> None:
     """Subdivision is even, keeps the ends, and the travel between neighbours stays below 0.9 clearances."""
     checker = Weighted(clearance, weights)
-    marks = subdivide(a, b, checker)  # type: ignore[arg-type]
+    marks = subdivide(a[None], b[None], checker)[0]  # type: ignore[arg-type]
     np.testing.assert_array_equal(marks[0], a)
     np.testing.assert_array_equal(marks[-1], b)
     if len(marks) > 1:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from cell.runs.former_keys import FORMER_ARRAYS, FORMER_KEYS, nested_table
+from cell.runs.former_keys import FORMER_ARRAYS, key_renames, nested_table
 from cell.runs.schema import ExecutionReport, Manifest, PlanFile, Report, ResolvedScene
 
 _RUN_FILES: Mapping[str, type[BaseModel]] = {
@@ -40,7 +40,7 @@ def with_former_keys(content: Any, table: type[BaseModel]) -> Any:
         return [with_former_keys(each, table) for each in content]
     if not isinstance(content, dict):
         return content
-    names = {new: old for each in table.__mro__ for old, new in FORMER_KEYS.get(each.__name__, {}).items()}
+    names = {new: old for each in table.__mro__ for old, new in key_renames().get(each.__name__, {}).items()}
     nested = {field.alias or name: nested_table(field.annotation) for name, field in table.model_fields.items()}
     return {
         names.get(key, key): with_former_keys(value, kind) if (kind := nested.get(key)) else value

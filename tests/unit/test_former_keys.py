@@ -9,7 +9,7 @@ import pytest
 
 from cell.errors import FileError
 from cell.runs import schema
-from cell.runs.former_keys import FORMER_KEYS, FORMER_SCHEMAS, with_present_keys
+from cell.runs.former_keys import FORMER_SCHEMAS, key_renames, with_present_keys
 from cell.runs.schema import ExploreFile, SetupsFile, parsed
 from tests.support.former_runs import former_keys, with_former_keys
 from tests.unit.test_run_folder_keys import FILES, TABLE
@@ -78,7 +78,7 @@ def test_every_former_key_has_its_present_key(file: str) -> None:
 
 def test_the_table_names_keys_that_exist() -> None:
     """Each entry names a class, a present key of it, and a former key that is none of its present keys."""
-    for name, keys in FORMER_KEYS.items():
+    for name, keys in key_renames().items():
         fields = getattr(schema, name).model_fields
         assert set(keys.values()) <= set(fields), name
         assert not set(keys) - {"candidates"} & set(fields), name

@@ -101,7 +101,7 @@ def test_a_table_turn_is_certified_itself() -> None:
     """A table turn is verified by itself, since the part may be too close between the checked angles."""
     ends = np.stack([HOME, HOME])
     ends[:, 6] = LIMITS.lower[6], LIMITS.upper[6]
-    checked = subdivide(*quantise_inside(ends, LIMITS), Lobe())[:, 6]
+    checked = subdivide(*quantise_inside(ends, LIMITS)[:, None], Lobe())[0][:, 6]
     dip = checked[np.argmin(np.abs(checked - 0.5))] + 0.5 * (checked[1] - checked[0])
 
     class Dip(Lobe):

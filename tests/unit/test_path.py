@@ -54,7 +54,7 @@ def test_quantising_stays_inside_a_range_that_is_no_multiple() -> None:
 def test_subdivision_keeps_every_configuration_near_a_checked_one() -> None:
     """No point of the segment lies farther than STEP clearances from a checked configuration; both ends are checked."""
     checker = Boxes()
-    marks = subdivide(LEFT, RIGHT, checker)
+    marks = subdivide(LEFT[None], RIGHT[None], checker)[0]
     np.testing.assert_array_equal(marks[[0, -1]], [LEFT, RIGHT])
     dense = LEFT + np.linspace(0, 1, 3001)[:, None] * (RIGHT - LEFT)
     nearest = np.abs(dense[:, None, 0] - marks[None, :, 0]).min(axis=1)
@@ -111,7 +111,7 @@ def test_a_detour_goes_around_the_wall() -> None:
     np.testing.assert_array_equal(found.via[[0, -1]], [LEFT, RIGHT])
     np.testing.assert_array_equal(quantise(found.via), found.via)
     for a, b in zip(found.via[:-1], found.via[1:], strict=True):
-        n = 10 * len(subdivide(a, b, checker))
+        n = 10 * len(subdivide(a[None], b[None], checker)[0])
         dense = a + np.linspace(0, 1, n)[:, None] * (b - a)
         assert checker.distances(dense).min() >= (1 - STEP) * checker.clearance
     assert found.duration == path_time(found.via, LIMITS)

@@ -245,7 +245,7 @@ def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(
     replay_model.pair_clearances = {}
     assert [touch for touch in find_violations(replay_model, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
     checker, q_to = MujocoCollisionChecker(world), Q + np.array([0, 0, 0, 0, 0, 2.0])
-    looks = subdivide(Q, q_to, checker)
+    looks = subdivide(Q[None], q_to[None], checker)[0]
     moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # travel to the nearer of the two checks
     assert 2 * moved.max() < keep
 
