@@ -206,6 +206,7 @@ def _only_where_enabled(draw: Callable[..., object], result: object) -> Callable
 _PICTURES = (
     "matplotlib.figure.Figure.savefig", "cell.report.figures.cover_curve", "cell.report.scan_report.draw_deviation",
     "cell.scan.results.draw_part_and_views", "cell.view.pictures.draw_reasons",
+    "cell.inspect.pictures.features_picture", "cell.inspect.pictures.report_pdf",
 )  # fmt: skip
 _PAGES = (
     "cell.view.run_pages.execution_page", "cell.view.run_pages.why_page", "cell.view.explore_page.explore_page",
