@@ -1,4 +1,4 @@
-"""Drive Chromium and Firefox without a screen, each in its own protocol."""
+"""Fixtures of the tests of commands: few readings of a simulated arm, and browsers, each in its own protocol."""
 
 import base64
 import contextlib
