@@ -80,6 +80,7 @@ class Effort:
         deviation_samples: samples on which the deviation of a surface is measured.
         searched_samples: unmeasured samples for each of which a measuring pose is searched.
         pose_search_share: share of the requested effort of a pose search.
+        motion_share: share of the effort of the search for detours.
         clearance_share: tolerance of a proven clearance, as a share of the clearance.
         cover_work: search for the fewest or the cheapest views, with its proof.
         probe_work: search for views that only shows where samples are missing.
@@ -93,6 +94,7 @@ class Effort:
     deviation_samples: int = 100_000
     searched_samples: int = N_PROBED_SAMPLES
     pose_search_share: float = 1.0
+    motion_share: float = 1.0
     clearance_share: float = 0.05
     cover_work: int = DEFAULT_EFFORT
     probe_work: int = DEFAULT_EFFORT // 25

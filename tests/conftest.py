@@ -206,6 +206,7 @@ def _only_where_enabled(draw: Callable[..., object], result: object) -> Callable
 _PICTURES = (
     "matplotlib.figure.Figure.savefig", "cell.report.figures.cover_curve", "cell.report.scan_report.draw_deviation",
     "cell.scan.results.draw_part_and_views", "cell.view.pictures.draw_reasons",
+    "cell.inspect.pictures.features_picture", "cell.inspect.pictures.report_pdf",
 )  # fmt: skip
 _PAGES = (
     "cell.view.run_pages.execution_page", "cell.view.run_pages.why_page", "cell.view.explore_page.explore_page",
@@ -233,9 +234,9 @@ def drawing_is_here() -> Iterator[None]:
 
 
 _LOW_EFFORT = Effort(
-    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, pose_search_share=0.1, clearance_share=0.3,
-    cover_work=30_000_000, probe_work=10_000_000, selection_work=20_000_000, repeat_work=10_000_000,
-    constrained_work=100_000_000, curve_work=10_000_000,
+    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, pose_search_share=0.1, motion_share=0.25,
+    clearance_share=0.3, cover_work=30_000_000, probe_work=10_000_000, selection_work=20_000_000,
+    repeat_work=10_000_000, constrained_work=100_000_000, curve_work=10_000_000,
 )  # fmt: skip
 
 

@@ -491,6 +491,7 @@ def _plan_motion(
         known=tuple(dict.fromkeys(group_of[c] for c in before or groups.visited if c in group_of)),
     )
     ordering = _ordering(problem.request, selection)
+    budget = budget.scaled(problem.request.effort.motion_share)
     return tour.plan_tour(visits, problem.cell.checker, problem.limits, rng, budget, progress, ordering=ordering)
 
 

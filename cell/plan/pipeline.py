@@ -424,7 +424,9 @@ def time_motion(session: PlanSession, problem: SelectionProblem, plan: Connected
     """Measure the clearance of every segment, and time the motion."""
     with session.stage("measure the clearance") as progress:
         tour = plan.tour
-        measured = clearance.motion_clearance(problem.cell.checker, tour.via, tour.segment, len(tour.detour), progress)
+        measured = clearance.motion_clearance(
+            problem.cell.checker, tour.via, tour.segment, len(tour.detour), progress, session.effort.clearance_share
+        )
         evaluation.require_no_contact(measured)
         motion = retime(
             tour.via, tour.segment, plan.via_candidate, problem.limits, pose=tour.pose, lines=plan.driven.lines

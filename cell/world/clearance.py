@@ -27,7 +27,9 @@ from planner.values import Floats, Value
 TOLERANCE = 2e-4
 """Largest gap between a measured minimum and its lower bound [m], for small distances."""
 
-_SHARE = 0.05  # tolerance of large distances, relative to the distance
+SHARE = 0.05
+"""Tolerance of large distances, relative to the distance."""
+
 _MOST = 4_000  # configurations measured in a segment; beyond, the gap between distance and bound stays wider
 
 
@@ -75,6 +77,7 @@ def motion_clearance(
     segment: NDArray[np.integer],
     segments: int,
     progress: Progress | None = None,
+    share: float = SHARE,
 ) -> MotionClearance:
     """Measure the clearance of a motion.
 
@@ -84,13 +87,14 @@ def motion_clearance(
         segment: (N,) segment that ends at or passes each via point; 0 for the first.
         segments: number of segments; one without a move is measured at its configuration.
         progress: called with (measured segments, all segments).
+        share: tolerance of large distances, relative to the distance.
     """
     count = segments if len(via) else 0
     distance, lower_bound, between = np.full(count, DISTANCE_CAP), np.full(count, DISTANCE_CAP), [""] * count
     nearest: tuple[float, int, Floats] | None = None
     checks = 0
     for number in range(count):
-        search = _SegmentSearch(checker)
+        search = _SegmentSearch(checker, share)
         rows = np.flatnonzero(segment[1:] == number) + 1
         for k in rows:
             search.add_move(via[k - 1], via[k])
@@ -128,8 +132,8 @@ class _SegmentSearch:
         checks: number of measured configurations.
     """
 
-    def __init__(self, checker: MujocoCollisionChecker) -> None:
-        self._checker = checker
+    def __init__(self, checker: MujocoCollisionChecker, share: float) -> None:
+        self._checker, self._share = checker, share
         self.best, self.lower_bound = DISTANCE_CAP, DISTANCE_CAP
         self.pair = -1
         self.q: Floats | None = None
@@ -143,7 +147,7 @@ class _SegmentSearch:
         checks = 0
         while intervals:
             bound, left, right = heapq.heappop(intervals)
-            if bound >= self.best - max(TOLERANCE, _SHARE * self.best) or checks >= _MOST:
+            if bound >= self.best - max(TOLERANCE, self._share * self.best) or checks >= _MOST:
                 self.lower_bound = min(self.lower_bound, bound)
                 break
             checks += 1

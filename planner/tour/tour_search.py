@@ -7,7 +7,7 @@ tour that is optimal under these prices and whose edges are all real is also opt
 guessed prices of colliding moves are not too high.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -55,6 +55,11 @@ class MotionBudget:
     guess_checks: int = 200_000
     polish: int = 4
     guesses: tuple[tuple[float, float], ...] = ((1.1, 1.2), (1.1, 0.35))
+
+    def scaled(self, share: float) -> "MotionBudget":
+        """Return the budget with a share of the effort for detours."""
+        path_checks, guess_checks = round(share * self.path_checks), round(share * self.guess_checks)
+        return replace(self, path_checks=path_checks, guess_checks=guess_checks, polish=round(share * self.polish))
 
 
 _UNINSPECTED_COST = 0.02

@@ -1,4 +1,4 @@
-"""Drive Chromium and Firefox without a screen, each in its own protocol."""
+"""Fixtures of the tests of commands: few readings of a simulated arm, and browsers, each in its own protocol."""
 
 import base64
 import contextlib
@@ -15,7 +15,15 @@ from typing import Any
 
 import pytest
 
+from drivers import sim
+
 _PATIENCE_S = 120.0
+
+
+@pytest.fixture(autouse=True)
+def _few_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read a simulated moving arm every 0.1 s; tests of drivers read it every 0.02 s, as executions do."""
+    monkeypatch.setattr(sim, "POLL", 0.1)
 
 
 class Chromium:

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.errors import UsageError
 from cell.export import export
+from cell.export.names import check_name
 from cell.runs.run import open_finished
 from tests.support.fixture_types import RunCommand
 
@@ -114,7 +116,6 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
         (("--name", ""), "is not a name in KRL"),
         (("--name", "Lin"), "--name Lin is reserved in KRL"),
         (("--name", "BAS"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
-        *((("--name", name), "is reserved in KRL") for name in _RESERVED_NAMES),
         (("--name", "con"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--name", "SC_TOOL"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--speed", "0"), "--speed is 0.0; it must be above 0"),
@@ -152,6 +153,13 @@ def test_invalid_options_give_one_sentence_and_code_2(
     assert sentence in printed.err
     assert (printed.out, len(printed.err.strip().splitlines())) == ("", 1)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", _RESERVED_NAMES)
+def test_reserved_names_are_refused(name: str) -> None:
+    """Names of KRL's statements, of $CONFIG.DAT and of KUKA's programs are no names of programs."""
+    with pytest.raises(UsageError, match="is reserved in KRL"):
+        check_name(name, "krl")
 
 
 def test_a_changed_file_in_an_output_folder_is_not_replaced(

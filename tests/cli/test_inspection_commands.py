@@ -2,6 +2,8 @@
 
 import csv
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +20,15 @@ from tests.support.fixture_types import RunCommand
 
 
 @needs_cascadio
-def test_features_are_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -> None:
+def test_features_are_listed_and_drawn(
+    run_cell: RunCommand, tmp_path: Path, drawing: Callable[[], AbstractContextManager[None]]
+) -> None:
     """Features and characteristics of a QIF file have their faces, tolerances and datums."""
     (tmp_path / "block.stp").write_text(bored_block())
     (tmp_path / "block.qif").write_text(bored_block_qif())
     words = ("features", "block.stp", "--qif", "block.qif", "--out", "drawn")
-    message = json.loads(run_cell(*words, "--json", cwd=tmp_path, code=0).stdout)
+    with drawing():
+        message = json.loads(run_cell(*words, "--json", cwd=tmp_path, code=0).stdout)
     assert [each["name"] for each in message["characteristics"]] == ["Flatness 41", "Diameter 42", "Position 43"]
     assert (tmp_path / "drawn" / "features.png").stat().st_size > 10_000
     assert "cylinder, diameter 16 mm" in run_cell(*words, cwd=tmp_path, code=0).stdout
@@ -31,6 +36,7 @@ def test_features_are_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -> 
 
 
 @needs_cascadio
+@pytest.mark.usefixtures("drawn_pictures")
 def test_points_of_a_file_are_inspected(run_cell: RunCommand, tmp_path: Path) -> None:
     """A bore that is 0.5 too large fails, exit code 3; the table, the page and the QIF file have its value."""
     (tmp_path / "block.stp").write_text(bored_block())
@@ -120,8 +126,8 @@ def test_a_displaced_part_is_aligned(
         f'[part]\npath = "block.stp"\n[inspection]\nalignment = "{alignment}"\n{points_of_rps}{_FEATURES}'
     )
     part, rng = load(tmp_path / "block.stp"), np.random.default_rng(0)
-    samples = draw_samples(part.reference, part.reference, 60_000, rng)
-    points = 1000 * samples.points + 0.003 * rng.standard_normal((60_000, 1)) * samples.normals
+    samples = draw_samples(part.reference, part.reference, 30_000, rng)
+    points = 1000 * samples.points + 0.003 * rng.standard_normal((30_000, 1)) * samples.normals
     points[(points[:, 0] > 59.9) & (points[:, 1] > 28), 0] += 0.4
     points[np.linalg.norm(points[:, :2] - [30, 20], axis=1) < 8.02, 0] += 0.1
     axis = np.array([0.5, -0.3, 0.8]) / np.linalg.norm([0.5, -0.3, 0.8])

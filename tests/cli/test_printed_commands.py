@@ -1,9 +1,10 @@
 """Commands that the program prints as next steps or remedies: each runs, and has the effect that its name states."""
 
+import json
 import re
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from subprocess import CompletedProcess
 
@@ -93,22 +94,32 @@ SMALL = ("--faces", "40", "--samples", "2", "--standoff", "250", "--candidates",
 SMALL += ("--place", "1100,400,100", "--coverage", "0.8", "--sensor", "paper")
 
 
-def _plan(run_cell: RunCommand, part_file: Path, cwd: Path, *options: object) -> "CompletedProcess[str]":
-    process = run_cell("plan", part_file, "--units", "mm", *SMALL, *options, "--out", "run", cwd=cwd)
-    assert process.returncode in FINISHED, process.stderr
-    return process
+@pytest.fixture
+def planned_process(
+    made_once: Callable[..., Path], run_cell: RunCommand, part_file: Path, tmp_path: Path
+) -> "CompletedProcess[str]":
+    """Return the process of a plan, with a copy of its folder `run`."""
+
+    def make(folder: Path) -> None:
+        process = run_cell("plan", part_file, "--units", "mm", *SMALL, "--out", "run", cwd=folder)
+        assert process.returncode in FINISHED, process.stderr
+        (folder / "outputs").write_text(json.dumps([process.stdout, process.stderr]))
+
+    folder = made_once("printed", make)
+    shutil.copytree(folder / "run", tmp_path / "run")
+    return CompletedProcess([], 0, *json.loads((folder / "outputs").read_text()))
 
 
-def test_after_a_plan(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
+def test_after_a_plan(run_cell: RunCommand, planned_process: "CompletedProcess[str]", tmp_path: Path) -> None:
     """A plan is shown, scanned, explained and exported; the best change of `cell why` is made."""
     follower = Follower(run_cell, tmp_path)
-    follower.follow(_plan(run_cell, part_file, tmp_path), depth=2)
+    follower.follow(planned_process, depth=2)
     assert {"view", "scan", "why", "export", "edit"} <= set(follower.names)
 
 
-def test_after_edits(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("planned_process")
+def test_after_edits(run_cell: RunCommand, tmp_path: Path) -> None:
     """A dropped view is repaired, compared and scanned; the edited plan prints its digest."""
-    _plan(run_cell, part_file, tmp_path)
     process = run_cell("edit", "run", "--drop", "1", "--out", "less", cwd=tmp_path)
     assert open_run(tmp_path / "less").digest[:SHORT_DIGEST] in process.stdout
     follower = Follower(run_cell, tmp_path)
@@ -167,9 +178,9 @@ def test_after_set_ups(made_setups: Path, run_cell: RunCommand, tmp_path: Path) 
     assert (tmp_path / "made" / "scanned" / "report.md").is_file()
 
 
-def test_a_further_set_up_is_not_a_new_plan(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("planned_process")
+def test_a_further_set_up_is_not_a_new_plan(run_cell: RunCommand, tmp_path: Path) -> None:
     """For a rotated part `cell why` proposes a set-up in addition to the plan; the plan stays the first set-up."""
-    _plan(run_cell, part_file, tmp_path)
     process = run_cell("why", "run", "--advise", cwd=tmp_path, code=0)
     commands = printed_commands(process)
     further = [words for words in commands if words[:2] == ["cell", "setups"]]

@@ -1,9 +1,11 @@
 """`cell view` end to end."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from cell.cli.terminal import Terminal
 from cell.view import view_command
@@ -36,11 +38,14 @@ def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: RunCo
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 
 
-def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
+def test_the_page_of_a_scene_shows_the_results_of_check(
+    blob: Callable[[int], trimesh.Trimesh], run_cell: RunCommand, tmp_path: Path
+) -> None:
     """The page of the built-in scene has its contacts at home. A part in the pedestal is a problem in the page."""
     run_cell("view", "--no-open", "--out", "a.html", cwd=tmp_path, code=0)
     assert "contacts at home" in (tmp_path / "a.html").read_text()
-    part = f'[part]\npath = "{part_file}"\nunits = "mm"\n'
+    blob(1).export(tmp_path / "part.stl")
+    part = '[part]\npath = "part.stl"\nunits = "mm"\n'
     (tmp_path / "mine.toml").write_text(f"{part}[placement]\nposition_mm = [0, 0, 0]\n")
     assert run_cell("view", "mine.toml", "--no-open", "--out", "b.html", cwd=tmp_path).returncode == 0
     assert re.search(r'"problems":\["[^"]+', (tmp_path / "b.html").read_text())

@@ -28,7 +28,7 @@ from drivers.errors import (
 )
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import PER_DEGREE, from_rad
-from drivers.wires import kvp
+from drivers.wires import kvp, kvp_link
 from drivers.wires.kvp_link import KvpDriver, KvpLine
 from tests.support.driver_bench import HOME_Q, KR16, Journal
 
@@ -174,10 +174,12 @@ def test_a_stopped_program_is_held_and_goes_on(bench: Bench) -> None:
     assert (seen[0].is_held, seen[0].at_rest, seen[0].mode, seen[0].queue_depth) == (True, True, Mode.IDLE, 1)
 
 
-def test_a_program_that_does_not_run_is_named(bench: Bench) -> None:
+def test_a_program_that_does_not_run_is_named(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """The message names the program and its state."""
+    monkeypatch.setattr(kvp_link, "_PROGRAM_ANSWER", 0.1)
     bench.controller.stop_program()
-    with driver_of(bench.url) as driver, pytest.raises(DriverError, match=r"sc_kvp does not .*#P_STOP"):
+    url = bench.url.replace("timeout_ms=1000", "timeout_ms=200")
+    with driver_of(url) as driver, pytest.raises(DriverError, match=r"sc_kvp does not .*#P_STOP"):
         driver.move(NEAR, 0.3)
     assert bench.journal.of("move") == []
 

@@ -13,6 +13,7 @@ from cell.api import open_run
 from cell.errors import UnreachableError, UsageError
 from cell.plan.edit import Neighbourhood
 from cell.plan.edit_options import Edit, Move, Pose, Turn
+from cell.runs.run import Run
 from cell.scene.options import flag, parse_options
 from planner.kinematics.frames import kuka_abc_from_pose
 
@@ -121,10 +122,15 @@ def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path)
         make_edit(run, out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
 
 
-def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def without(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return the plan without its second view."""
+    return make_edit(open_run(planned), drop=[2], out=tmp_path_factory.mktemp("edit") / "without")
+
+
+def test_a_dropped_view_can_be_put_back(planned: Path, without: Run, tmp_path: Path) -> None:
     """Candidates keep their numbers through repeated edits. A later repair does not bring the dropped view back."""
     run = open_run(planned)
-    without = make_edit(run, drop=[2], out=tmp_path / "without")
     assert without.coverage.visible < run.coverage.visible
     assert without.bound == 1
     back = make_edit(without, add_candidate=int(run.candidate[1]), out=tmp_path / "back")
@@ -153,7 +159,7 @@ def test_the_neighbourhood_of_a_view_is_bounded_by_distance_and_viewing_angle() 
     assert Neighbourhood(poses[:1], 0.0, 0.0).contains(poses).tolist() == [True, False, False, False, False]
 
 
-def test_a_repair_stays_away_from_the_dropped_view(planned: Path, tmp_path: Path) -> None:
+def test_a_repair_stays_away_from_the_dropped_view(planned: Path, without: Run, tmp_path: Path) -> None:
     """No added view is within 50 mm and 20 deg of the dropped one, also if the repair is a later edit."""
     run = open_run(planned)
     dropped = run.candidates.T_object_scanner[run.candidate[1], 0]
@@ -166,7 +172,7 @@ def test_a_repair_stays_away_from_the_dropped_view(planned: Path, tmp_path: Path
         return list(zip(apart, angle, strict=True))
 
     at_once = make_edit(run, drop=[2], repair=True, out=tmp_path / "at_once")
-    later = make_edit(make_edit(run, drop=[2], out=tmp_path / "without"), repair=True, out=tmp_path / "later")
+    later = make_edit(without, repair=True, out=tmp_path / "later")
     for result in (at_once, later):
         assert run.candidate[1] not in result.candidate
         assert nearest(result)

@@ -34,8 +34,12 @@ def equidistant(points: Floats, groups: Ints, n_first: int) -> Floats:
     base = np.repeat([0, n_first], [n_first, groups.shape[1] - n_first])
     used = np.flatnonzero(base != np.arange(len(base)))
     squares = (local**2).sum(axis=2)
-    inverse = np.linalg.pinv(2 * (local - local[:, base])[:, used], rcond=1e-9)
-    return np.asarray(points[groups[:, 0]] + np.einsum("kij,kj->ki", inverse, (squares - squares[:, base])[:, used]))
+    A, right = 2 * (local - local[:, base])[:, used], (squares - squares[:, base])[:, used]
+    if A.shape[1] == A.shape[2]:  # a tenth of the time of the pseudo-inverse
+        centres = np.linalg.solve(A, right[..., None])[..., 0]
+    else:
+        centres = np.einsum("kij,kj->ki", np.linalg.pinv(A, rcond=1e-9), right)
+    return np.asarray(points[groups[:, 0]] + centres)
 
 
 def best_of_supports(points: Floats, criterion: Criterion) -> float:
@@ -47,7 +51,8 @@ def best_of_supports(points: Floats, criterion: Criterion) -> float:
     supports = {
         Criterion.CIRCUMSCRIBED: [(size, size) for size in range(2, d + 2)],
         Criterion.INSCRIBED: [(d + 1, d + 1)],
-        Criterion.ZONE: [(d + 2, n_first) for n_first in range(1, d + 2)],
+        # A group with its two sets exchanged has the same centre.
+        Criterion.ZONE: [(d + 2, n_first) for n_first in range(1, (d + 2) // 2 + 1)],
     }[criterion]
     centres = np.concatenate([equidistant(points, splits(n, *each), each[1]) for each in supports])
     off = np.linalg.norm(centres - points.mean(axis=0), axis=1)

@@ -1,5 +1,6 @@
 """Features, characteristics, alignment, values, uncertainty and verdicts, on a block of 60 x 40 x 30 with a bore."""
 
+import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,7 @@ from cell.inspect.alignment import common_element, datum_frame, fit_reference_po
 from cell.inspect.evaluation import Evaluation, Measurement, Verdict, verdict_of
 from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, resolve_features
 from cell.inspect.inspection import Inspected, align, inspect_points
-from cell.inspect.measured import Association, MeasuredPoints, measure_features
+from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
 from cell.inspect.prediction import PlannedViews, main_source, predict_features, predicted_measurements
 from cell.inspect.qif import read_qif
 from cell.inspect.qif_results import qif_results
@@ -74,12 +75,27 @@ def plan_of(part: Workpiece, tables: list[dict[str, object]] | None = None, **se
     return InspectionPlan.model_validate(values | settings)
 
 
+def only(plan: InspectionPlan, *names: str) -> InspectionPlan:
+    """Return a plan with some of its characteristics; each of them takes a tenth of a second."""
+    return plan.model_copy(update={"characteristics": tuple(c for c in plan.characteristics if c.name in names)})
+
+
+@functools.cache
+def association_of(part: Workpiece) -> Association:
+    """Return the association of points with all features."""
+    return Association(part.reference, plan_of(part))
+
+
 def points_on(part: Workpiece, count: int = 40_000, sigma: float = 0.0, seed: int = 0) -> Floats:
     """Return points (N, 3) on the part's surface with noise along the normals [m]."""
+    return _points_on(part, count, sigma, seed).copy()
+
+
+@functools.lru_cache(8)
+def _points_on(part: Workpiece, count: int, sigma: float, seed: int) -> Floats:
     rng = np.random.default_rng(seed)
     samples = draw_samples(part.reference, part.reference, count, rng)
-    association = Association(part.reference, plan_of(part))
-    exact = association.without_facets(samples.points)
+    exact = association_of(part).without_facets(samples.points)
     return exact + sigma * rng.standard_normal((count, 1)) * samples.normals
 
 
@@ -97,9 +113,14 @@ def inspected(part: Workpiece, points: Floats, plan: InspectionPlan | None = Non
     )  # fmt: skip
 
 
-def values_of(done: Inspected) -> dict[str, float]:
-    """Return the values of the characteristics by name."""
-    return {each.name: float("nan") if each.value is None else each.value for each in done.result.characteristics}
+def values_of(part: Workpiece, points: Floats, plan: InspectionPlan | None = None) -> dict[str, float]:
+    """Return the values of the characteristics by name; the uncertainties would take ten times as long."""
+    plan = plan or plan_of(part)
+    association = Association(part.reference, plan)
+    T, _ = align(plan, association, points)
+    features = measure_features(association, single_view(transform_points(T, points)))
+    values = Evaluation(plan, features, association.nearest, np.zeros((1, 2))).values()
+    return {each.name: value for each, value in zip(plan.characteristics, values, strict=True)}
 
 
 class TestFeatures:
@@ -358,7 +379,7 @@ class TestAlignment:
         bore = np.abs(distance - 0.008) < 1e-6
         points[bore, :2] += 0.0002 * radial[bore] / distance[bore, None]
         plan = plan_of(block, alignment="best-fit")
-        assert values_of(inspected(block, points, plan))["bore: size"] == pytest.approx(16.4, abs=1e-3)
+        assert values_of(block, points, plan)["bore: size"] == pytest.approx(16.4, abs=1e-3)
         T, words = align(plan, Association(block.reference, plan), points)
         assert np.abs(T - np.eye(4)).max() < 1e-6
         assert "best fit" in words
@@ -380,7 +401,7 @@ class TestValues:
         right, back = points[:, 0] > 0.0599999, points[:, 1] > 0.0399999
         made[right, 0] += 0.00015
         made[back, 1] += np.tan(np.radians(0.25)) * (points[back, 2] - 0.015)
-        found = values_of(inspected(block, made))
+        found = values_of(block, made)
         assert found["bore: size"] == pytest.approx(16.1, abs=1e-3)
         assert found["inscribed"] == pytest.approx(16.1, abs=2e-3)
         assert found["bore: position"] == pytest.approx(0.6, abs=3e-3)
@@ -392,12 +413,13 @@ class TestValues:
     def test_a_lifted_part_has_the_same_values_by_its_datums(self, block: Workpiece) -> None:
         T = motion_from_vector(np.array([3e-4, -2e-4, 1e-4, 1e-3, -2e-3, 1e-3]), block.centre)
         points = points_on(block)
-        here, there = (values_of(inspected(block, each)) for each in (points, transform_points(T, points)))
+        here, there = (values_of(block, each) for each in (points, transform_points(T, points)))
         assert there == pytest.approx(here, abs=2e-3)
 
-    def test_uncertainty_covers_the_errors_of_repeated_scans(self, block: Workpiece) -> None:
+    @pytest.mark.parametrize("scans", [2, pytest.param(6, marks=pytest.mark.slow)])
+    def test_uncertainty_covers_the_errors_of_repeated_scans(self, block: Workpiece, scans: int) -> None:
         sigma, within, total = 2e-5, 0, 0
-        for seed in range(6):
+        for seed in range(scans):
             done = inspected(block, points_on(block, 8000, sigma, seed), sigma=sigma)
             for each in done.result.characteristics:
                 assert each.value is not None
@@ -409,7 +431,8 @@ class TestValues:
     def test_missing_points_are_the_cause_of_a_missing_value(self, block: Workpiece) -> None:
         points = points_on(block)
         away = np.linalg.norm(points[:, :2] - [0.03, 0.02], axis=1) > 0.0085
-        found = {each.name: each for each in inspected(block, points[away]).result.characteristics}
+        plan = only(plan_of(block), "bore: size", "top: form")
+        found = {each.name: each for each in inspected(block, points[away], plan).result.characteristics}
         assert found["bore: size"].verdict == "not measured"
         assert "no point lies on it" in found["bore: size"].cause
         assert found["top: form"].verdict == "pass"
@@ -417,7 +440,7 @@ class TestValues:
     def test_points_of_another_surface_are_outliers(self, block: Workpiece) -> None:
         points = points_on(block, sigma=1e-5)
         spray = np.array([0.03, 0.02, 0]) + np.array([[0.0075, 0, z] for z in np.linspace(0.005, 0.025, 40)])
-        found = inspected(block, np.concatenate([points, spray]), sigma=1e-5)
+        found = inspected(block, np.concatenate([points, spray]), only(plan_of(block), "bore: size"), sigma=1e-5)
         element = next(each for each in found.result.features if each.feature == "bore")
         assert element.n_outliers >= 40
         assert element.diameter_mm == pytest.approx(16, abs=2e-3)
@@ -447,7 +470,8 @@ class TestValues:
 
     def test_a_form_of_few_points_has_no_value(self, block: Workpiece) -> None:
         points = points_on(block, 1000)
-        found = {each.name: each for each in inspected(block, points).result.characteristics}
+        plan = only(plan_of(block), "bore: roundness", "bore: size")
+        found = {each.name: each for each in inspected(block, points, plan).result.characteristics}
         assert "its form needs 20" in found["bore: roundness"].cause
         assert found["bore: size"].value is not None
 
@@ -499,8 +523,8 @@ class TestDegenerateFeatures:
         off = points[:, :2] - [0.03, 0.02]
         other = np.linalg.norm(off, axis=1) > 0.0081
         arc = np.abs(np.degrees(np.arctan2(off[:, 1], off[:, 0]))) < half_deg
-        done = inspected(block, points[other | arc], sigma=1e-5)
-        found = next(each for each in done.result.characteristics if each.name == "bore: size")
+        done = inspected(block, points[other | arc], only(plan_of(block), "bore: size"), sigma=1e-5)
+        found = done.result.characteristics[0]
         assert ("nearly not determined" in found.note) == is_weak
         assert found.value is not None
         assert found.expanded_uncertainty is not None
@@ -560,7 +584,8 @@ class TestDegenerateFeatures:
         """Only what depends on the tilt of the datum about the line of its points is in doubt."""
         points = points_on(block, 60_000, 1e-5)
         line = (points[:, 2] < 0.0299) | (np.abs(points[:, 0] - 0.01) < 0.0003)
-        found = {each.name: each for each in inspected(block, points[line], sigma=1e-5).result.characteristics}
+        plan = only(plan_of(block), "bore: perpendicularity", "bore: position", "bore: size", "right: distance")
+        found = {each.name: each for each in inspected(block, points[line], plan, sigma=1e-5).result.characteristics}
         assert "on top counts" in found["bore: perpendicularity"].note
         assert found["bore: perpendicularity"].verdict != "fail"
         assert "nearly" not in found["bore: size"].note + found["right: distance"].note
@@ -615,7 +640,7 @@ class TestCommonDatum:
         points = points_on(block)
         top = points[:, 2] > 0.0299
         points[top, 2] += np.tan(np.radians(0.1)) * (points[top, 0] - 0.03)
-        found = values_of(inspected(block, points, plan))
+        found = values_of(block, points, plan)
         assert found["top: total-runout"] == pytest.approx(55 * np.tan(np.radians(0.1)), abs=4e-3)
 
     def test_features_without_common_axis_or_plane_are_refused(self, block: Workpiece) -> None:
@@ -651,28 +676,32 @@ class TestSeveralSetups:
         """Half of the block is measured in another set-up, whose place is uncertain by 0.01 along x."""
         points = points_on(block, sigma=2e-6)
         first = points[:, 0] > 0.03
-        sd = 1e-5
+        sd, plan = 1e-5, plan_of(block)
+        # A motion of the whole part changes none of these values.
+        plan = only(plan, *(
+            each.name for each in plan.characteristics
+            if each.datums or (each.kind in ("size", "distance", "angle") and each.name != "inscribed")
+        ))  # fmt: skip
 
         def uncertainties(placements: tuple[tuple[float, float], tuple[float, float]]) -> dict[str, float]:
             both = points_of_setups([single_view(points[own], 2e-6) for own in (first, ~first)], placements)
-            done = inspect_points(plan_of(block), block.reference, both, part="b", source="p", is_simulated=True)
+            done = inspect_points(plan, block.reference, both, part="b", source="p", is_simulated=True)
             return {each.name: each.expanded_uncertainty or 0.0 for each in done.result.characteristics}
 
         exact, uncertain = uncertainties(((0, 0), (0, 0))), uncertainties(((sd, 0), (sd, 0)))
         assert uncertain["right: distance"] == pytest.approx(2000 * sd * np.sqrt(2), rel=0.02)
         assert uncertain["right: distance"] > 20 * exact["right: distance"]
         one = points_of_setups([single_view(points, 2e-6)], [(sd, 1e-4)])
-        alone = inspect_points(plan_of(block), block.reference, one, part="b", source="p", is_simulated=True)
-        for each in alone.result.characteristics:  # a motion of the whole part changes no value
-            if each.datums or (each.kind in ("size", "distance", "angle") and each.name != "inscribed"):
-                assert each.expanded_uncertainty == pytest.approx(exact[each.name], rel=0.1, abs=1e-4), each.name
+        alone = inspect_points(plan, block.reference, one, part="b", source="p", is_simulated=True)
+        for each in alone.result.characteristics:
+            assert each.expanded_uncertainty == pytest.approx(exact[each.name], rel=0.1, abs=1e-4), each.name
 
 
 class TestResults:
     def test_characteristics_of_a_scene_have_a_qif_document(self, block: Workpiece) -> None:
         """Every reference in it has its target, and its numbers of items are right."""
         written = dict[str, bytes]()
-        done = inspected(block, points_on(block, sigma=1e-5))
+        done = inspected(block, points_on(block, 8000, 1e-5))
         done.write(written.__setitem__, None)
         root = ElementTree.fromstring(written["results.qif"])
         n = f"{{{NAMESPACE}}}"
@@ -754,36 +783,42 @@ class TestVerdictRates:
         assert share(-3.0, Verdict.FAIL) == 1.0
 
 
-class TestPrediction:
-    def views(self) -> Floats:
-        """Return views (n, 4, 4) of the block from above, from the sides and from below."""
-        found = []
-        middle = np.array([0.03, 0.02, 0.015])
-        for at in ((0.1, 0, 1), (1, 0, 0.4), (-1, 0, 0.4), (0, 1, 0.4), (0, -1, 0.4), (0.1, 0.1, -1)):
-            position = middle + 0.2 * np.array(at) / np.linalg.norm(at)
-            z = (middle - position) / np.linalg.norm(middle - position)
-            x = np.cross([0.0, 1.0, 0.1], z)
-            x /= np.linalg.norm(x)
-            T = np.eye(4)
-            T[:3] = np.column_stack([x, np.cross(z, x), z, position])
-            found.append(T)
-        return np.array(found)
+FINE = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
 
+
+def views_of_block() -> Floats:
+    """Return views (n, 4, 4) of the block from above, from the sides and from below."""
+    found = []
+    middle = np.array([0.03, 0.02, 0.015])
+    for at in ((0.1, 0, 1), (1, 0, 0.4), (-1, 0, 0.4), (0, 1, 0.4), (0, -1, 0.4), (0.1, 0.1, -1)):
+        position = middle + 0.2 * np.array(at) / np.linalg.norm(at)
+        z = (middle - position) / np.linalg.norm(middle - position)
+        x = np.cross([0.0, 1.0, 0.1], z)
+        x /= np.linalg.norm(x)
+        T = np.eye(4)
+        T[:3] = np.column_stack([x, np.cross(z, x), z, position])
+        found.append(T)
+    return np.array(found)
+
+
+@functools.cache
+def predicted_features(part: Workpiece, count: int) -> dict[str, MeasuredFeature]:
+    """Return the features as the first views will measure them."""
+    caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
+    views = PlannedViews(views_of_block()[:count, None], FINE, [caster])
+    return predict_features(association_of(part), [views])
+
+
+class TestPrediction:
     def predict(
-        self, block: Workpiece, views: Floats, pose: float = 0.0, **settings: object
+        self, block: Workpiece, count: int = 6, pose: float = 0.0, **settings: object
     ) -> dict[str, tuple[float | None, str]]:
-        plan = plan_of(block, **settings)
-        association = Association(block.reference, plan)
-        caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
-        scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
-        features = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
-        sd = np.tile([pose, 0.0], (len(views), 1))
-        found = predicted_measurements(plan, association, features, sd)
+        features, sd = predicted_features(block, count), np.tile([pose, 0.0], (count, 1))
+        found = predicted_measurements(plan_of(block, **settings), association_of(block), features, sd)
         return {each.characteristic.name: (each.expanded_uncertainty, each.cause) for each in found}
 
     def test_pose_errors_and_fewer_views_raise_the_uncertainty(self, block: Workpiece) -> None:
-        views = self.views()
-        exact, moved_poses = self.predict(block, views), self.predict(block, views, 2e-5)
+        exact, moved_poses = self.predict(block), self.predict(block, pose=2e-5)
         size, worse = exact["right: distance"][0], moved_poses["right: distance"][0]
         assert size is not None
         assert worse is not None
@@ -792,19 +827,19 @@ class TestPrediction:
 
     def test_the_main_source_of_the_variance_is_named(self, block: Workpiece) -> None:
         """Pose errors of 20 um move planes by much more than the noise of thousands of points."""
-        views = self.views()
-        exact, moved_poses = (self.predict(block, views, pose, u_over_t=1e-9) for pose in (0.0, 2e-5))
+        exact, moved_poses = (self.predict(block, pose=pose, u_over_t=1e-9) for pose in (0.0, 2e-5))
         for name in ("right: distance", "slot: size"):
             assert "pose errors" not in exact[name][1]
             assert moved_poses[name][1].endswith("of the variance is from pose errors")
         assert "pose errors" not in moved_poses["top: form"][1]  # each view measures all of it
 
-    def test_predicted_uncertainty_is_that_of_repeated_scans(self) -> None:
+    @pytest.mark.parametrize("scans", [45, pytest.param(60, marks=pytest.mark.slow)])
+    def test_predicted_uncertainty_is_that_of_repeated_scans(self, scans: int) -> None:
         """Quantiles of 60 scans with noise and pose errors are known to about 12 %."""
         bench = block_bench()
         coarse = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.5, 0.5))
         bench = replace(bench, scanner=coarse)
-        values, stated = scan_values(bench, 60, n_stated=2)
+        values, stated = scan_values(bench, scans, n_stated=1)
         for k, each in enumerate(bench.predict()):
             if each.characteristic.name == "bore: form":  # too few points for a quantile of its largest cells
                 continue
@@ -846,7 +881,7 @@ class TestPrediction:
 
     def test_views_are_demanded_for_what_makes_a_value_uncertain(self, block: Workpiece) -> None:
         """A datum of which too little is measured, then the datum that has most of the variance."""
-        plan, views = plan_of(block), self.views()
+        plan, views = plan_of(block), views_of_block()
         association = Association(block.reference, plan)
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
         scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.5, 0.5))
@@ -894,19 +929,16 @@ class TestPrediction:
         assert "mostly A (top)" in next(_causes(plan, predicted, [5.2], association, demand))
 
     def test_a_feature_that_no_view_measures_is_named(self, block: Workpiece) -> None:
-        _, cause = self.predict(block, self.views()[:5])["bottom: parallelism"]
+        _, cause = self.predict(block, 5)["bottom: parallelism"]
         assert "no view of the plan measures it" in cause
 
     def test_predicted_points_are_those_of_a_scan(self, block: Workpiece) -> None:
         from cell.world import virtual_scan
 
-        views, plan = self.views(), plan_of(block)
-        association = Association(block.reference, plan)
+        predicted, views = predicted_features(block, 6), views_of_block()
         caster = EmbreeRayCaster(block.reference.vertices, block.reference.faces)
-        scanner = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.25, 0.25))
-        predicted = predict_features(association, [PlannedViews(views[:, None], scanner, [caster])])
-        scans = [virtual_scan.scan(scanner, T, caster, block.reference).points for T in views]
-        measured = measure_features(association, single_view(np.concatenate(scans)))
+        scans = [virtual_scan.scan(FINE, T, caster, block.reference).points for T in views]
+        measured = measure_features(association_of(block), single_view(np.concatenate(scans)))
         for name in ("top", "front", "right", "bore"):
             count = predicted[name].patches[0].n_points
             assert count == pytest.approx(measured[name].patches[0].n_points, rel=0.1), name

@@ -175,15 +175,15 @@ def _objects(sentence: str) -> str:
 def test_a_problem_is_found_and_its_remedy_removes_it(name: str, world: Callable[..., World]) -> None:
     """The message names both objects, and after the proposed change the problem is gone."""
     mesh, tables, words = ERRORS[name]
-    output = [each for each in find_problems(world(mesh, tables)) if all(word in each for word in words)]
-    assert len(output) == 1, find_problems(world(mesh, tables))
+    before = find_problems(world(mesh, tables))
+    output = [each for each in before if all(word in each for word in words)]
+    assert len(output) == 1, before
     cured = followed(tables, output[0])
     if name == "scanner that looks back":
         assert cured is None
         return
     assert cured is not None
     left = find_problems(world(mesh, cured))
-    before = find_problems(world(mesh, tables))
     assert {_objects(each) for each in left} <= {_objects(each) for each in before}, left
     assert not [each for each in left if each.split("; ")[0].split(",")[0] == output[0].split("; ")[0].split(",")[0]], (
         left
@@ -202,8 +202,9 @@ def test_a_warning_is_found_and_its_remedy_removes_it(name: str, world: Callable
     if name in ("a fixture in inches", "an angle that tips"):
         return  # no move helps
     assert cured is not None
-    assert not find_problems(world(mesh, cured))
-    left = find_warnings(world(mesh, cured))
+    cell = world(mesh, cured)
+    assert not find_problems(cell)
+    left = find_warnings(cell)
     assert not [each for each in left if all(word.split(",")[0] in each for word in words)], left
 
 
