@@ -8,6 +8,7 @@ point, each given by its index. Object frame, metres.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,9 +101,9 @@ def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None 
     Returns:
         The rows that pass, in their order.
     """
-    if isinstance(scanner, AreaLimits) and scanner.area_limits is not None:
+    if (law := _posed_law(targets, scanner)) is not None:
         tested = np.arange(len(targets)) if rows is None else rows
-        codes = scanner.reject_at(targets.points, targets.normals, tested, np.array(T))
+        codes = law.reject_at(targets.points, targets.normals, tested, np.array(T))
         return np.asarray(tested[codes == Rejection.MEASURED])
     count = len(targets) if rows is None else len(rows)
     into_scanner = T[:3, :3].T
@@ -123,10 +124,10 @@ def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None 
 
 def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: Ints) -> Bools:
     """Return (P, n) whether `in_view` passes each of (n,) points at each of (P, 4, 4) poses [m], in one call."""
-    if isinstance(scanner, AreaLimits) and scanner.area_limits is not None:
+    if (law := _posed_law(targets, scanner)) is not None:
         passes = np.empty((len(poses), len(rows)), dtype=np.bool_)
         for number, T in enumerate(poses):
-            passes[number] = scanner.reject_at(targets.points, targets.normals, rows, np.array(T)) == Rejection.MEASURED
+            passes[number] = law.reject_at(targets.points, targets.normals, rows, np.array(T)) == Rejection.MEASURED
         return passes
     into_scanner = poses[:, :3, :3].transpose(0, 2, 1)
     origins = into_scanner @ poses[:, :3, 3:]
@@ -135,6 +136,13 @@ def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: I
     points, normals = (each.transpose(1, 0, 2).reshape(3, -1) for each in (points, normals))
     codes = rejections(targets, np.tile(rows, len(poses)), scanner, points, normals)
     return np.asarray(codes == Rejection.MEASURED).reshape(len(poses), len(rows))
+
+
+def _posed_law(targets: RayTargets, scanner: Scanner) -> AreaLimits | None:
+    """Return the scanner if it decides on points in their own frame, by the same conditions for all regions."""
+    has_regions = targets.region is not None and hasattr(scanner, "reject_in")
+    is_posed = isinstance(scanner, AreaLimits) and scanner.area_limits is not None
+    return cast(AreaLimits, scanner) if is_posed and not has_regions else None
 
 
 def rejections(
