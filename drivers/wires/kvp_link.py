@@ -38,6 +38,7 @@ PORT: Final = 7000
 
 _PROGRAM_ANSWER = 1.0  # longest time until the program reads an order, beside the answer time [s]
 _MAX_POINTS = 10  # of one stage
+_POLL = 0.01  # pause between two readings while the program is waited for [s]: a few cycles of the interpreter
 _BEATS = 4  # smallest number of heartbeats in the time of the watchdog while via points are written
 _NOT_ACTIVE = 100  # fault code of a program that does not run
 _PROGRAM_STATES = {"#P_FREE": 1, "#P_RESET": 2, "#P_STOP": 3, "#P_END": 4}
@@ -245,6 +246,7 @@ class KvpLink(ReopeningLink):
                 return Answer(sequence, state["RESULT"])
             if state["OWNER"] != self.session:
                 return Answer(sequence, Result.NOT_OWNER)
+            self._clock.wait(_POLL)
         raise self._no_answer(f"order {sequence}")
 
     def _write_points(self, sequence: int, offset: int, points: SetPoints) -> None:
@@ -261,6 +263,7 @@ class KvpLink(ReopeningLink):
         while self._clock.now() < min(deadline, self.deadline):
             if self._ask(name) == "0":
                 return
+            self._clock.wait(_POLL)
         raise self._no_answer(subject)
 
     def _no_answer(self, subject: str) -> AnswerTimeoutError:
