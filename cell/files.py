@@ -103,17 +103,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def file_errors(failure: str, cure: str = "", *, lower: bool = False) -> Iterator[None]:
+def file_errors(failure: str, cure: str = "") -> Iterator[None]:
     """Convert an OSError of the block to a FileError.
 
     Args:
         failure: beginning of its message, such as "FILE cannot be read"; the reason of the system follows.
         cure: end of the message.
-        lower: whether the reason begins with a small letter.
     """
     try:
         yield
     except OSError as error:
-        reason = str(error.strerror or error)
-        message = f"{failure}: {reason.lower() if lower else reason}"
+        message = f"{failure}: {error.strerror or error}"
         raise FileError(f"{message}; {cure}" if cure else message) from error

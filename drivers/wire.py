@@ -458,10 +458,13 @@ def connect_tcp(address: tuple[str, int], seconds: float, check: str) -> socket.
     Raises:
         LinkLostError: if nothing answers.
     """
+    connection = None
     try:
         connection = socket.create_connection(address, seconds + 1.0)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except OSError as error:
+        if connection is not None:
+            connection.close()
         raise LinkLostError(
             f"{address[0]}:{address[1]} cannot be opened: {describe_failure(error)}; check address and network, and "
             f"that {check}"

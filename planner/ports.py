@@ -167,8 +167,8 @@ class AreaLimits(Protocol):
         Args:
             points: (3, S) coordinates [m], read-only.
             normals: (3, S) outward unit normals, read-only.
-            rows: (N,) points.
-            T: (4, 4) pose of the scanner in their frame [m].
+            rows: (N,) points, writable: the type of a kernel's argument.
+            T: (4, 4) pose of the scanner in their frame [m], writable.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""Work in threads: one part of an array for each core, by functions that release Python's global lock."""
+"""Work in threads: one block of an array for each core, by functions that release Python's global lock."""
 
 import os
 import threading
@@ -18,28 +18,28 @@ def run_in_threads(work: Callable[[slice], None], count: int, least: int) -> Non
     Each item is worked on by itself, so that the result does not depend on the number of cores.
 
     Args:
-        work: is given the items of a part; several parts at a time. Calls of this function from it use one thread.
+        work: is given the items of a block; several blocks at a time. Calls of this function from it use one thread.
         count: number of items.
-        least: number of items up to which threads cost more than they save: to hand over a part takes 0.05 ms.
+        least: number of items up to which threads cost more than they save: to hand over a block takes 0.05 ms.
     """
-    parts = min(CORES, count) if count > least and not getattr(_state, "is_working", False) else 1
-    slices = [slice(count * part // parts, count * (part + 1) // parts) for part in range(parts)]
-    if parts > 1:
-        tasks = [_threads().submit(_work, work, part) for part in slices[1:]]
+    n = min(CORES, count) if count > least and not getattr(_state, "is_working", False) else 1
+    blocks = [slice(count * k // n, count * (k + 1) // n) for k in range(n)]
+    if n > 1:
+        tasks = [_threads().submit(_work, work, block) for block in blocks[1:]]
         try:
-            _work(work, slices[0])
+            _work(work, blocks[0])
         finally:
             wait(tasks)
         for task in tasks:
             task.result()
     elif count:
-        work(slices[0])
+        work(blocks[0])
 
 
-def _work(work: Callable[[slice], None], part: slice) -> None:
+def _work(work: Callable[[slice], None], block: slice) -> None:
     _state.is_working = True
     try:
-        work(part)
+        work(block)
     finally:
         _state.is_working = False
 

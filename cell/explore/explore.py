@@ -213,7 +213,7 @@ def _execute(work: ExplorationContext, folder: Path) -> tuple[ExecutedScan, ...]
 def _make_points_folder(folder: Path) -> None:
     """Create the folder for the points of a batch, if the user made its parent."""
     if folder.parent.is_dir():
-        with file_errors(f"{folder} cannot be created", "create it for the points of this stage", lower=True):
+        with file_errors(f"{folder} cannot be created", "create it for the points of this stage"):
             folder.mkdir(exist_ok=True)
 
 

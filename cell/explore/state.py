@@ -95,7 +95,7 @@ class ExplorationFolder:
             return known
         if self.root.exists() and not self._only_made():
             raise FileError(f"{self.root} exists and is not an exploration; choose another --out")
-        with file_errors(f"{self.root} cannot be made", "choose a writable --out", lower=True):
+        with file_errors(f"{self.root} cannot be made", "choose a writable --out"):
             (self.root / "stages").mkdir(parents=True, exist_ok=True)
         self.write(file)
         return file

@@ -137,7 +137,7 @@ def _write_programs(
 def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[Path, ...]:
     """Write each file atomically. Without `replace`, a file with other content is an error."""
     files = {folder / name: content for name, content in contents.items()}
-    with file_errors(f"{folder} cannot be written", "choose a writable --out", lower=True):
+    with file_errors(f"{folder} cannot be written", "choose a writable --out"):
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in files.items():
             if not replace and path.exists() and path.read_bytes() != content:

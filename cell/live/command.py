@@ -39,7 +39,7 @@ def serve(
         assert run is not None, "a scene or a run is needed"
         scene = scene_of(open_finished(run))
     folder = out or unused_path(Path("sim_runs") / f"live-{datetime.now(UTC):%Y%m%dT%H%M%SZ}")
-    with file_errors(f"{folder} cannot be made", "choose another --out", lower=True):
+    with file_errors(f"{folder} cannot be made", "choose another --out"):
         folder.mkdir(parents=True)
     server = LiveServer(States(scene, folder, run), reporter, is_planning=is_planning)
     asyncio.run(server.run(lambda address: on_ready(address.url)))

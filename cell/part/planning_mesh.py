@@ -6,16 +6,15 @@ It depends on the triangles of the part and the number of faces only, so that ot
 import hashlib
 from contextlib import suppress
 from importlib.metadata import version
+from inspect import getsource
 from pathlib import Path
 
 import numpy as np
 
 from cell import files
+from planner.geometry import decimation, mesh
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-
-FORMAT = 1
-"""Version of file and method: incremented with every change of the planning mesh for equal inputs."""
 
 CACHE_LIMIT_BYTES = 50_000_000
 """Size of the cache above which the oldest meshes are deleted; one of the default plan has 50 kB."""
@@ -34,30 +33,33 @@ def planning_mesh(reference: TriangleMesh, face_count: int, *, use_cache: bool =
     path = files.cache_folder("planning") / f"{_key(reference, face_count)}.npz"
     if (stored := _read(path)) is not None:
         return stored
-    mesh = decimate(reference, face_count)
+    planning = decimate(reference, face_count)
     with suppress(OSError):
         with files.atomic_write(path) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, vertices=mesh.vertices, faces=mesh.faces, hash=_hash(mesh))
+            np.savez(stream, vertices=planning.vertices, faces=planning.faces, hash=_hash(planning))
         files.delete_oldest(path.parent, CACHE_LIMIT_BYTES)
-    return mesh
+    return planning
 
 
 def _read(path: Path) -> TriangleMesh | None:
     """Read a stored mesh; None if there is none, or it is damaged."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            mesh = TriangleMesh(stored["vertices"], stored["faces"])
-            return mesh if str(stored["hash"]) == _hash(mesh) else None
+            planning = TriangleMesh(stored["vertices"], stored["faces"])
+            return planning if str(stored["hash"]) == _hash(planning) else None
     except Exception:  # a damaged zip fails in many ways
         return None
 
 
 def _key(reference: TriangleMesh, face_count: int) -> str:
-    inputs = f"{FORMAT} {face_count} {version('fast-simplification')} {version('numpy')} {version('scipy')}"
-    return hashlib.sha256(f"{inputs} {_hash(reference)}".encode()).hexdigest()[:32]
+    """Return a hash of everything that the planning mesh depends on: mesh, number, libraries, code."""
+    libraries = [version(name) for name in ("fast-simplification", "numpy", "scipy")]
+    code = [getsource(module) for module in (decimation, mesh)]
+    inputs = [_hash(reference), str(face_count), *libraries, *code]
+    return hashlib.sha256("\n".join(inputs).encode()).hexdigest()[:32]
 
 
-def _hash(mesh: TriangleMesh) -> str:
-    digest = hashlib.sha256(np.ascontiguousarray(mesh.vertices).data)
-    digest.update(np.ascontiguousarray(mesh.faces).data)
+def _hash(triangles: TriangleMesh) -> str:
+    digest = hashlib.sha256(np.ascontiguousarray(triangles.vertices).data)
+    digest.update(np.ascontiguousarray(triangles.faces).data)
     return digest.hexdigest()

@@ -733,7 +733,7 @@ def read_manifest(path: Path) -> Manifest:
 
 def file_bytes(path: Path) -> bytes:
     """Return the content of a file."""
-    with file_errors(f"{path} cannot be read", "check its permissions", lower=True):
+    with file_errors(f"{path} cannot be read", "check its permissions"):
         return path.read_bytes()
 
 

@@ -57,7 +57,7 @@ class ExecutionFolder(RunFolder):
             FileError: if it cannot be made.
         """
         root = run.folder / EXECUTIONS
-        with file_errors(f"an execution cannot be made in {root}", "the run folder must be writable", lower=True):
+        with file_errors(f"an execution cannot be made in {root}", "the run folder must be writable"):
             root.mkdir(exist_ok=True)
             while True:
                 numbers = [int(path.name) for path in root.iterdir() if path.name.isdecimal()]

@@ -8,7 +8,7 @@ Five rounds of trials, so that a stopped search resumes:
 3. full coverage at the best placements of round 2;
 4. views and cycle time of the best of round 3;
 5. plans of the best of round 4 and of the placement of the scene, if it is in the range; the best plan is recommended.
-   That of the scene's placement needs no other round and begins with the first.
+   The plan of the scene's placement begins after the first round.
 
 The result has the ten best placements with their spread, and the distances from the best one to placements where
 nothing is reachable or 5 % of its coverage is lost.
@@ -159,7 +159,6 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
 
     default = place_of(scene)
     planned_places = [default] if is_within(default, list(zip(*where.ends, strict=True))) else []
-    start_trials(list(finalist_trials(scene, planned_places).values()), workers)
     unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(COARSE_PLACES)
     points = np.tile(low, (COARSE_PLACES if len(free) else 1, 1))
     if len(free):
@@ -170,6 +169,7 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         raise UnreachableError(
             "nothing of the part is reachable in this range; move or widen it (--x, --y, --z, --yaw)"
         )
+    start_trials(list(finalist_trials(scene, planned_places).values()), workers)
     fine: dict[Place, PlaceCoverage] = {}
 
     def refine(places: Sequence[Place]) -> None:

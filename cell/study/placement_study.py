@@ -84,7 +84,9 @@ def placement_study(
             for place in sorted(estimates_of, key=lambda place: _estimated_rank(estimates_of[place]))
             if estimates_of[place]["views"]
         ]
-        return list(finalist_trials(scene, best_places[:N_PLANNED]).values())
+        begun = set(of_default)
+        trials = finalist_trials(scene, best_places[:N_PLANNED]).values()
+        return [trial for trial in trials if trial not in begun]
 
     def rows(outcomes: Sequence[Outcome]) -> list[Row]:
         values = {outcome.trial: outcome.values for outcome in outcomes}

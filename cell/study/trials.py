@@ -188,7 +188,7 @@ class Workers(ABC):
         """Yield the outcome of each of the distinct trials as it is finished."""
 
     def start(self, trials: Sequence[Trial]) -> None:  # noqa: B027 # a hint, which other workers ignore
-        """Begin trials that a later `compute` yields, if there are workers for other trials meanwhile."""
+        """Begin trials, if there are workers for other trials meanwhile; they are saved when `compute` yields them."""
 
     @abstractmethod
     def close(self) -> None:

@@ -298,6 +298,6 @@ def save_png(image: Image.Image, path: Path) -> None:
     Raises:
         FileError: if it cannot be written.
     """
-    with file_errors(f"{path} cannot be written", lower=True):
+    with file_errors(f"{path} cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         image.save(path, format="png", optimize=False, compress_level=4)

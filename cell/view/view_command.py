@@ -84,7 +84,7 @@ def write_page(text: str, out: Path | None) -> Path:
     if (path.parent / "manifest.json").is_file():
         raise UsageError(f"--out {path} is in the folder of a run, and runs are never changed; choose another folder")
     # A browser never reads half a page.
-    with file_errors(f"{path} cannot be written", lower=True), atomic_write(path) as beside:
+    with file_errors(f"{path} cannot be written"), atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")
     return path
 

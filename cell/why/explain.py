@@ -491,7 +491,7 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
 def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
     """Write the files and return their folder."""
     target, part = run.folder / FOLDER, run.folder / (FOLDER + ".part")
-    with file_errors(f"{target} cannot be written", "the run folder must be writable", lower=True):
+    with file_errors(f"{target} cannot be written", "the run folder must be writable"):
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")

@@ -157,10 +157,10 @@ class DirectionTable(Value):
         poses, limits = self._packed(T_object_scanner.reshape(-1, 4, 4)).reshape(n, P, -1), self.limits
         row_weights = weights[rows]
 
-        def add(part: slice) -> None:
+        def add(sets: slice) -> None:
             sum_weights(
                 self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows,
-                starts[part.start : part.stop + 1], row_weights, poses[part], limits, thresholds[part], sums[part],
+                starts[sets.start : sets.stop + 1], row_weights, poses[sets], limits, thresholds[sets], sums[sets],
             )  # fmt: skip
 
         run_in_threads(add, n, _IN_ONE_THREAD * n // max(1, len(rows) * P))
@@ -175,12 +175,12 @@ class DirectionTable(Value):
         poses, result = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if (limits := self.limits) is not None:
 
-            def mark(part: slice) -> None:
+            def mark(block: slice) -> None:
                 mark_rows(
-                    self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses[part], limits,
-                    result[part],
+                    self.frames, self.nodes, self.near, self.near_nodes, self.ranges, rows, poses[block], limits,
+                    result[block],
                 )  # fmt: skip
-                self._decide_edges(T_object_scanner[part], rows, result[part])
+                self._decide_edges(T_object_scanner[block], rows, result[block])
 
             run_in_threads(mark, len(poses), _IN_ONE_THREAD // max(1, len(rows)))
         else:

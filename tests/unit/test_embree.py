@@ -98,14 +98,6 @@ def test_several_threads_may_share_one_caster():
     assert all((answer == (np.abs(x) <= 1)).all() for answer in answers)
 
 
-def test_no_thread_outlives_a_call():
-    """No thread remains after a call, so that a later fork does not wait for missing threads."""
-    caster = EmbreeRayCaster(*SQUARE)
-    before = threading.active_count()
-    caster.blocked(np.ones((50_000, 3)), np.zeros((50_000, 3)))
-    assert threading.active_count() == before
-
-
 @pytest.mark.parametrize(
     ("vertices", "faces", "words"),
     [

@@ -120,7 +120,6 @@ class TestLeastSquares:
     def test_points_that_do_not_determine_the_shape_are_reported(self, kind: ShapeKind, points: Floats) -> None:
         found = fit(kind, points)
         assert found.doubts
-        assert found.doubts
 
     def test_too_few_points_are_refused(self) -> None:
         with pytest.raises(PlannerError, match="at least 5 points"):
