@@ -127,9 +127,8 @@ def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: I
     if (law := _posed_law(targets, scanner)) is not None:
         passes = np.empty((len(poses), len(rows)), dtype=np.bool_)
         for number, T in enumerate(poses):
-            passes[number] = (
-                law.reject_at(targets.points, targets.normals, rows, np.array(T, order="C")) == Rejection.MEASURED
-            )
+            codes = law.reject_at(targets.points, targets.normals, rows, np.array(T, order="C"))
+            passes[number] = codes == Rejection.MEASURED
         return passes
     into_scanner = poses[:, :3, :3].transpose(0, 2, 1)
     origins = into_scanner @ poses[:, :3, 3:]

@@ -9,7 +9,7 @@ import trimesh
 
 from cell.errors import FileError
 from cell.scene.file import load_scene
-from cell.study.placement_trial import evaluate_placement
+from cell.study.placement_trial import COVERAGE_ONLY, WITH_VIEWS, evaluate_placement
 from cell.study.prepared_part import Bench, scene_from_settings, scene_settings, shared_bench
 from cell.world import virtual_scan
 from cell.world.collision import MujocoCollisionChecker
@@ -96,3 +96,18 @@ def test_the_values_of_a_placement_are_those_of_its_steps(tables: dict[str, Any]
     assert values["coverable"] == pytest.approx(areas[measured].sum() / areas.sum())
     assert values["lower_bound"] <= values["views"]
     assert values["cycle_s"] > 0
+
+
+def test_grown_candidates_count_for_coverage_and_for_views(tables: dict[str, Any]) -> None:
+    """Both kinds of trial have the same coverage, which the views keep; without growth it is lower."""
+    place = {"position_mm": [1100, 400, 100], "abc_deg": [30, 0, 0], "solver": "auto", "candidates": None}
+
+    def values(generator: str, what: str) -> dict[str, Any]:
+        scene = load_scene(None, tables | {"plan": tables["plan"] | {"candidates": generator}})
+        return evaluate_placement({**scene_settings(scene), **place, "what": what})
+
+    coverage_only, whole = values("grown", COVERAGE_ONLY), values("grown", WITH_VIEWS)
+    assert coverage_only["coverable"] == pytest.approx(whole["coverable"], abs=1e-12)
+    assert coverage_only["reachable"] == whole["reachable"]
+    assert whole["coverable"] > values("optimal-scanning-zone", COVERAGE_ONLY)["coverable"] + 0.01
+    assert whole["visible"] > 0.95 * 0.99 * whole["coverable"]  # held-out samples, 99 % requested of few rows

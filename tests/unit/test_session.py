@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cell.session import Effort, LoggedProgress, Session, Stream, default_effort, effort_of, random_stream
+from cell.world import clearance
 
 _PLAN = (
     "MATRIX_SAMPLES", "HELD_OUT_SAMPLES", "SELECTION", "MOTION", "POSE_ERRORS", "SIMULATED_EXECUTIONS",
@@ -70,3 +71,8 @@ def test_a_stage_is_reported_and_recorded() -> None:
         pass
     assert heard == [("reach", 0, 0), ("reach", 1, 2), ("measure", 0, 0)]
     assert folder.stages == ["measure"]
+
+
+def test_the_default_effort_has_the_tolerance_of_a_clearance() -> None:
+    """The default of a session is that of a direct call."""
+    assert Effort().clearance_share == clearance.SHARE
