@@ -59,7 +59,8 @@ NewRunFolder = Annotated[
     Path | None, typer.Option(help="Run folder to make. Default: sim_runs/<UTC>-<hash>.", rich_help_panel="Output")
 ]
 NoCache = Annotated[
-    bool, typer.Option("--no-cache", help="Neither read nor write cached matrices.", rich_help_panel="Output")
+    bool,
+    typer.Option("--no-cache", help="Neither read nor write cached meshes and matrices.", rich_help_panel="Output"),
 ]
 AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout, the rest on stderr.", rich_help_panel="Output")

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
 from planner.geometry.rigid import inverse_rigid
-from planner.kinematics.setpoints import Setpoints, setpoints
+from planner.kinematics.setpoints import Setpoints, first_setpoints, setpoints
 from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.values import Bools, DescribedEnum, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
@@ -171,8 +171,7 @@ def _flange_poses(
 
 def _any_free(T_base_flange: Floats, kinematics: Kinematics, checker: CollisionChecker) -> Bools:
     """Return (N,) whether a configuration of each pose is within the limits and free."""
-    solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
-    q, pose = solved.q[solved.first], solved.pose[solved.first]
+    q, pose = first_setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
     is_free = np.zeros(len(T_base_flange), dtype=np.bool_)
     number = np.arange(len(pose)) - np.searchsorted(pose, pose)  # among the branches of the pose within the limits
     for branch in range(int(number.max(initial=-1)) + 1):

@@ -89,6 +89,22 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     return Setpoints(np.asarray(exists.any(axis=-1)), q, pose, np.flatnonzero(fresh), np.cumsum(fresh) - 1)
 
 
+def first_setpoints(branches: Floats, limits: JointLimits) -> tuple[Floats, Ints]:
+    """Return the first set-point (g, axes) [rad] of each geometry of `setpoints`, and the pose (g,) of each.
+
+    The axes are independent: the first turn of each that fits makes the first combination that fits.
+    """
+    pose, branch = np.nonzero(~np.isnan(branches).any(axis=-1))
+    lower, upper = range_in_steps(limits)
+    choices = _turns(lower, upper)
+    turns = np.array([[each[min(k, len(each) - 1)] for each in choices] for k in range(max(map(len, choices)))])
+    steps = to_steps(branches[pose, branch]) + _TURN * turns[:, None]
+    fits = (steps >= lower) & (steps <= upper)
+    is_within = fits.any(axis=0).all(axis=1)
+    first = np.take_along_axis(steps, fits.argmax(axis=0)[None], axis=0)[0, is_within]
+    return np.clip(from_steps(first), limits.lower, limits.upper), pose[is_within]
+
+
 def _turns(lower: Ints, upper: Ints) -> list[list[int]]:
     """Return for each axis the full turns that keep some angle of (-180, 180] deg within its limits; 0 first."""
     half = _TURN // 2

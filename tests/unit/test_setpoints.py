@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planner.kinematics.setpoints import STEPS_PER_DEGREE, from_steps, setpoints, to_steps
+from planner.kinematics.setpoints import STEPS_PER_DEGREE, first_setpoints, from_steps, setpoints, to_steps
 from planner.ports import JointLimits
 
 LIMITS = JointLimits(
@@ -35,6 +35,21 @@ def test_every_multiple_inside_the_limits_is_found():
     assert len(want) > 500
     assert len(have) == len(set(have))
     assert set(have) == want
+
+
+@pytest.mark.parametrize("widest", [350.0, 800.0])
+def test_first_setpoints_are_those_of_each_geometry(widest):
+    """The short form gives the first row of each geometry, also with more turns and narrow limits."""
+    rng = np.random.default_rng(2)
+    branches = rng.uniform(-np.pi, np.pi, (200, 8, 6))
+    branches[rng.random((200, 8)) < 0.3] = np.nan
+    ends = np.deg2rad([widest, 90, 100, widest, 130, 200.0])
+    limits = JointLimits(-ends, ends * 0.9, np.ones(6), np.ones(6))
+    every = setpoints(branches, limits)
+    q, pose = first_setpoints(branches, limits)
+    assert 0 < len(q) < len(every.q)
+    np.testing.assert_array_equal(q, every.q[every.first])
+    np.testing.assert_array_equal(pose, every.pose[every.first])
 
 
 def test_a_turn_shares_the_geometry_of_its_branch():
