@@ -21,8 +21,10 @@ from cell import api
 from cell.runs.cell import read_cell
 from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import find_measured
+from planner.viewpoints.pose_search import EFFORTS
 
 _N_SAMPLES = 100_000
+_NO_SEARCH = 4_000  # place of effort 0 on the logarithmic axis
 
 
 def run(efforts: str = "0,low,normal,200000", coverages: str = "0.99") -> list[dict[str, Any]]:
@@ -67,7 +69,7 @@ def _row(name: str, words: tuple[str, ...], effort: str, seed: int, coverage: fl
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
-    """Draw views over processor seconds, a line for each part."""
+    """Draw views over the effort, a line for each part."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -78,15 +80,17 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     for number, part in enumerate(dict.fromkeys(row["part"] for row in rows)):
         own = [row for row in rows if row["part"] == part]
         efforts = dict.fromkeys(row["effort"] for row in own)
-        each = [[row for row in own if row["effort"] == effort] for effort in efforts]
-        seconds = [np.median([row["processor s"] for row in some]) for some in each]
-        views = [np.median([row["views"] for row in some]) for some in each]
-        axes.plot(seconds, views, "o-", ms=4, lw=1.2, color=colours[number % 20], label=part)
-    axes.set(xscale="log", yscale="log", xlabel="processor time of the plan [s]", ylabel="views")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:g}")
-    axes.legend(fontsize=7, ncols=3)
+        views = [np.median([row["views"] for row in own if row["effort"] == effort]) for effort in efforts]
+        poses = [max(EFFORTS[effort] if effort in EFFORTS else int(effort), _NO_SEARCH) for effort in efforts]
+        axes.plot(poses, views, "o-", ms=4, lw=1.2, color=colours[number % 20], label=part.removesuffix(" (file)"))
+    axes.set(xscale="log", yscale="log", xlabel="evaluated poses (effort; leftmost: candidates only)", ylabel="views")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("{x:g}")
+    axes.set_xticks([_NO_SEARCH, 12_000, 48_000, 200_000, 800_000], ["0", "12,000", "48,000", "200,000", "800,000"])
+    axes.set_xticks([], minor=True)
+    axes.grid(alpha=0.2)
+    axes.set_ylim(4.5, 150)
+    axes.legend(fontsize=7, ncols=5, loc="upper center")
     figure.tight_layout()
     figure.savefig(folder / "pose_search.png", dpi=120)
     plt.close(figure)
