@@ -83,30 +83,24 @@ def _plan(part: str, seed: int, values: dict[str, Any], folder: Path, environmen
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
-    """Draw views, and the coverage missing, over processor seconds; a line for each number."""
+    """Draw views over processor seconds, a line for each number."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2))
+    figure, axes = plt.subplots(figsize=(6.4, 4.2))
     for name in dict.fromkeys(row["number"] for row in rows):
         own = [row for row in rows if row["number"] == name]
-        seconds = [row["processor s"] for row in own]
-        for axes, key in ((left, "views"), (right, "visible of coverable %")):
-            axes.plot(seconds, [row[key] for row in own], "o-", ms=4, label=name)
-            for row in own:
-                axes.annotate(
-                    str(row["value"]), (row["processor s"], row[key]), fontsize=7, xytext=(3, 3),
-                    textcoords="offset points",
-                )  # fmt: skip
-    left.set(xscale="log", xlabel="processor time [s]", ylabel="views (mean)")
-    right.set(xscale="log", xlabel="processor time [s]", ylabel="visible of the coverable surface [%]")
-    for axes in (left, right):
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("{x:g}")
-        axes.grid(alpha=0.3)
-    left.legend(fontsize=8)
+        axes.plot([row["processor s"] for row in own], [row["views"] for row in own], "o-", ms=4, label=name)
+        for row in own:
+            axes.annotate(
+                str(row["value"]), (row["processor s"], row["views"]), fontsize=7, xytext=(3, 3),
+                textcoords="offset points",
+            )  # fmt: skip
+    axes.set(xlabel="processor time [s]", ylabel="views (mean)")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
     figure.tight_layout()
     figure.savefig(folder / "default_job.png", dpi=120)
     plt.close(figure)

@@ -119,6 +119,8 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
                               textcoords="offset points")  # fmt: skip
     for axes, label in zip(panels, ("processor time to build the table [s]", "size of the table [MB]"), strict=True):
         axes.set(xscale="log", yscale="log", xlabel=label)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
         axes.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("rms error of the measured share [points]\n(numbers: nodes along an axis)")
     panels[0].legend(fontsize=7)
