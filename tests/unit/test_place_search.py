@@ -4,8 +4,10 @@ import numpy as np
 
 from cell.scene.file import load_scene
 from cell.study.place_search import _basins, _best_of_all_basins
-from cell.study.planned_placement import PlannedPlacement, best_place
+from cell.study.placement_study import placement_study
+from cell.study.planned_placement import PlannedPlacement, best_place, place_of
 from cell.study.prepared_part import Bench
+from cell.study.trials import Outcome
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]
@@ -49,3 +51,18 @@ def test_the_best_plan_is_chosen_and_none_is_worse_than_the_default():
     assert best_place(planned | {default: _plan(0.9802, 5, 8.5)}, default) == default
     assert best_place(planned | {default: _plan(0.99, 9, 99.0)}, default) == default
     assert best_place({c: planned[c]}, default) == c
+
+
+def test_the_plan_of_the_scene_is_a_trial_once():
+    """In a grid with the placement of the scene, its plan is among the first trials and no finalist again."""
+    scene = load_scene(None, {"part": {"name": "mug"}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}})
+    x, y, z, yaw = place_of(scene)
+    values = {"reachable": 1.0, "coverable": 0.9, "home_free": True, "views": 5, "lower_bound": 5, "visible": 0.9}
+    for grid_x in ([x], [x, x + 100.0]):
+        study = placement_study(scene, grid_x, [y], [z], [yaw])
+        of_grid = [trial for trial in study.trials if trial.function.endswith(":evaluate_placement")]
+        finalists = study.finalists([Outcome(trial, values | {"cycle_s": 9.0}, "", {}) for trial in of_grid])
+        assert len(of_grid) == len(grid_x)
+        assert len(study.trials) == len(set(study.trials)) == len(grid_x) + 1
+        assert len(finalists) == len(grid_x) - 1
+        assert not set(finalists) & set(study.trials)
