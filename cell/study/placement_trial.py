@@ -94,7 +94,7 @@ def evaluate_placement(settings: JsonTable) -> dict[str, object]:
 
 
 def _grown(arm: ViewEvaluator, samples: SurfaceSamples, is_measured: Bools) -> Viewpoints:
-    """Grow candidates at a placement, with the samples of the matrix as scouts; none may be needed."""
+    """Grow candidates at a placement, with the samples of the matrix as scouts; there may be none."""
     grown = growth.grow(RayTargets.of(samples.points, samples.normals, samples.region), is_measured, arm)
     views = viewpoints_from_poses(grown.T_object_scanner, samples.points[grown.row], samples.planning_face[grown.row])
     return scanners.sweep_columns(arm.scanner, views)
