@@ -14,6 +14,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import tomllib
 from abc import ABC, abstractmethod
@@ -302,16 +303,20 @@ class Processes(Workers):
         return self._pool.submit(compute, trial, trial.digest)
 
     def close(self) -> None:
-        """End the processes."""
+        """End the processes, also those that compute: the exit of Python would wait for them."""
         self._started.clear()
         if self._pool is not None:
+            running = list((self._pool._processes or {}).values())  # Python 3.14 has terminate_workers
             self._pool.shutdown(wait=False, cancel_futures=True)
+            for process in running:
+                process.terminate()
             self._pool = None
 
 
 def _end_with_parent() -> None:
-    """Leave Ctrl-C to the parent process, and end this worker when the parent ends for any cause."""
+    """Leave Ctrl-C to the parent process, and end this worker when it is terminated or the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # removes temporary folders
     parent = multiprocessing.parent_process()
 
     def follow() -> None:

@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -99,6 +100,28 @@ def test_a_started_trial_whose_process_died_is_computed_again(
             process.kill()
             process.join()
         assert _values(run_trials(trials, workers, folder=tmp_path)) == _values(local)
+
+
+def sleep(settings: dict[str, Any]) -> dict[str, object]:
+    """Sleep in a temporary folder, with the process number in its file."""
+    with tempfile.TemporaryDirectory(dir=settings["folder"]) as folder:
+        (Path(folder) / "started").touch()
+        time.sleep(1000)
+    return {}
+
+
+def test_a_started_trial_ends_with_its_workers(tmp_path: Path) -> None:
+    """Its process ends without its result, and removes its temporary folder."""
+    with Processes(2) as workers:
+        workers.start([Trial.of(sleep, {"folder": str(tmp_path)})])
+        running = multiprocessing.active_children()
+        while not list(tmp_path.glob("*/started")):
+            time.sleep(0.02)
+    for process in running:
+        process.join(20)
+    assert running
+    assert all(process.exitcode is not None for process in running)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_stopped_study_resumes(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
