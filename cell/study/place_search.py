@@ -36,6 +36,7 @@ from cell.study.placement_study import (
 from cell.study.placement_trial import COVERAGE_ONLY, WITH_VIEWS, evaluate_placement
 from cell.study.planned_placement import (
     N_PLANNED,
+    Place,
     PlannedPlacement,
     best_place,
     finalist_trials,
@@ -46,7 +47,7 @@ from cell.study.planned_placement import (
 )
 from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, StudyResult, write_folder
-from cell.study.trials import JsonTable, Outcome, Trial, Workers, run_trials, start_trials
+from cell.study.trials import JsonTable, OnOutcome, Outcome, Trial, Workers, run_trials, start_trials
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
 from planner.values import Floats, Ints
@@ -65,9 +66,6 @@ TOLERANCE = 0.001
 _SUFFICIENT_COVERAGE = 0.95  # share of the best coverage; less counts as a loss
 _PROBES_MM = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)  # distances of the surroundings
 _BASIN = 0.1  # radius of a basin, as a share of the range
-
-Place = tuple[float, ...]
-"""Values of AXES."""
 
 Progress = Callable[[str, int, int], None]
 """Called with (round, finished trials, all trials)."""
@@ -120,93 +118,128 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
     Raises:
         UnreachableError: if nothing is reachable in the range.
     """
-    low, high = map(np.array, where.ends)
-    free = np.flatnonzero(high > low)
-    base = scene_settings(scene)
-    _, b, c = scene.placement.abc_deg
-    places: dict[str, int] = {}
-    evaluated: set[Place] = set()
+    return _PlaceSearch(scene, where, workers, progress).run()
 
-    def compute(name: str, points: Sequence[Place], **what: Any) -> list[JsonTable]:
-        fixed = {**base, "solver": "auto", **what}
-        trials = [
-            Trial.of(evaluate_placement, {**fixed, "position_mm": p[:3], "abc_deg": (p[3], b, c)}) for p in points
-        ]
 
-        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
-            if progress is not None:
-                progress(name, n_done, total)
+class _PlaceSearch:
+    """State of a search: the range, and the placements that were evaluated in each round."""
 
-        places[name] = places.get(name, 0) + len(trials)
-        evaluated.update(points)
-        return [outcome.values for outcome in run_trials(trials, workers, on_outcome=on_outcome)]
+    def __init__(self, scene: Scene, where: PlaceRange, workers: Workers, progress: Progress | None) -> None:
+        self._scene, self._where, self._workers, self._progress = scene, where, workers, progress
+        self._low, self._high = map(np.array, where.ends)
+        self._free = np.flatnonzero(self._high > self._low)
+        self._rotation = scene.placement.abc_deg[1:]
+        self._fixed = {**scene_settings(scene), "solver": "auto"}
+        self._n_trials: dict[str, int] = {}
+        self._evaluated: set[Place] = set()
+        self._fine: dict[Place, PlaceCoverage] = {}
 
-    def measure(name: str, points: Sequence[Place], candidates: int | None) -> list[PlaceCoverage]:
-        values = compute(name, points, what=COVERAGE_ONLY, candidates=candidates)
+    def run(self) -> PlaceSearchResult:
+        """Take the rounds in their order."""
+        default, extent = place_of(self._scene), self._high - self._low
+        planned_places = [default] if is_within(default, list(zip(*self._where.ends, strict=True))) else []
+        starts = self._starts()
+        coarse = self._measure("coarse", starts, COARSE_CANDIDATES)
+        if not any(each.coverable for each in coarse):
+            raise UnreachableError(
+                "nothing of the part is reachable in this range; move or widen it (--x, --y, --z, --yaw)"
+            )
+        start_trials(list(finalist_trials(self._scene, planned_places).values()), self._workers)
+        self._refine(_best_first(dict(zip(starts, coarse, strict=True)))[:FINE_PLACES])
+        climbers = self._climb([basin[0] for basin in _basins(_best_first(self._fine), extent)][:CLIMBERS])
+        full = _best_of_all_basins(list(dict.fromkeys([*climbers, *_best_first(self._fine)])), FULL, extent)
+        full = _best_first(dict(zip(full, self._measure("full", full, None), strict=True)))
+        ten = sorted(
+            (row for row in self._with_views(_best_of_all_basins(full, FINALISTS, extent)) if row["views"] is not None),
+            key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
+        )[:10]
+        if planned_places and default not in [_place(row) for row in ten]:
+            ten += self._with_views([default])
+        planned_places += [_place(row) for row in ten[:N_PLANNED]]
+        ten = _planned_first(ten, self._plan(planned_places), default)
+        lost_mm, unreached_mm = _surroundings(
+            ten[0], lambda points: self._measure("surroundings", points, COARSE_CANDIDATES)
+        )
+        shares = [each.coverable for each in coarse]
+        return PlaceSearchResult(
+            ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, self._n_trials, len(self._evaluated)
+        )
+
+    def _starts(self) -> list[Place]:
+        """Return the placements of the first round: a Sobol sequence over the range."""
+        rng = np.random.default_rng(self._scene.plan.seed)
+        unit = qmc.Sobol(max(len(self._free), 1), scramble=True, rng=rng).random(COARSE_PLACES)
+        points = np.tile(self._low, (COARSE_PLACES if len(self._free) else 1, 1))
+        if len(self._free):
+            points[:, self._free] += unit * (self._high - self._low)[self._free]
+        return [_rounded(point) for point in points]
+
+    def _refine(self, places: Sequence[Place]) -> None:
+        """Evaluate placements with more candidates, unless that was done before."""
+        new = [place for place in dict.fromkeys(places) if place not in self._fine]
+        self._fine.update(zip(new, self._measure("fine", new, FINE_CANDIDATES), strict=True))
+
+    def _climb(self, climbers: list[Place]) -> list[Place]:
+        """Return the end of a compass search from each placement."""
+        steps = [np.array(FIRST_STEPS)] * len(climbers)
+        last = np.array(LAST_STEPS) / 2
+        while any((step > last).all() for step in steps):
+            neighbours = [
+                _neighbours(place, step, self._low, self._high, self._free) if (step > last).all() else []
+                for place, step in zip(climbers, steps, strict=True)
+            ]
+            self._refine([place for places in neighbours for place in places])
+            for k, places in enumerate(neighbours):
+                best = min(places, key=lambda place: (self._fine[place].rank, place), default=climbers[k])
+                if self._fine[best].rank < self._fine[climbers[k]].rank:
+                    climbers[k] = best
+                else:
+                    steps[k] = steps[k] / 2
+        return climbers
+
+    def _measure(self, name: str, places: Sequence[Place], candidates: int | None) -> list[PlaceCoverage]:
+        values = self._compute(name, places, what=COVERAGE_ONLY, candidates=candidates)
         return [PlaceCoverage(value.get("coverable", 0.0), value.get("reachable", 0.0)) for value in values]
 
-    def compute_plans(points: Sequence[Place]) -> dict[Place, PlannedPlacement]:
-        trials = finalist_trials(scene, points)
-        places["plans"] = len(trials)
+    def _with_views(self, places: Sequence[Place]) -> list[Row]:
+        """Return the row of each placement whose trial did not fail, with views and cycle time if it has any."""
+        values = self._compute("views and time", places, what=WITH_VIEWS, candidates=None)
+        return [placement_row(place, self._rotation, each) for place, each in zip(places, values, strict=True) if each]
 
-        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
-            if progress is not None:
-                progress("plans", n_done, total)
+    def _compute(self, name: str, places: Sequence[Place], **settings: Any) -> list[JsonTable]:
+        """Return the values of the trial of each placement."""
+        trials = [
+            Trial.of(
+                evaluate_placement,
+                {**self._fixed, **settings, "position_mm": place[:3], "abc_deg": (place[3], *self._rotation)},
+            )
+            for place in places
+        ]
+        self._n_trials[name] = self._n_trials.get(name, 0) + len(trials)
+        self._evaluated.update(places)
+        return [outcome.values for outcome in run_trials(trials, self._workers, on_outcome=self._report(name))]
 
-        values = {each.trial: each.values for each in run_trials(list(trials.values()), workers, on_outcome=on_outcome)}
+    def _plan(self, places: Sequence[Place]) -> dict[Place, PlannedPlacement]:
+        """Return the plan of each placement that has one."""
+        trials = finalist_trials(self._scene, places)
+        self._n_trials["plans"] = len(trials)
+        outcomes = run_trials(list(trials.values()), self._workers, on_outcome=self._report("plans"))
+        values = {outcome.trial: outcome.values for outcome in outcomes}
         plans = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
         return {place: each for place, each in plans.items() if each is not None}
 
-    default = place_of(scene)
-    planned_places = [default] if is_within(default, list(zip(*where.ends, strict=True))) else []
-    unit = qmc.Sobol(max(len(free), 1), scramble=True, rng=np.random.default_rng(scene.plan.seed)).random(COARSE_PLACES)
-    points = np.tile(low, (COARSE_PLACES if len(free) else 1, 1))
-    if len(free):
-        points[:, free] += unit * (high - low)[free]
-    starts = [_rounded(point) for point in points]
-    coarse = measure("coarse", starts, COARSE_CANDIDATES)
-    if not any(each.coverable for each in coarse):
-        raise UnreachableError(
-            "nothing of the part is reachable in this range; move or widen it (--x, --y, --z, --yaw)"
-        )
-    start_trials(list(finalist_trials(scene, planned_places).values()), workers)
-    fine: dict[Place, PlaceCoverage] = {}
+    def _report(self, name: str) -> OnOutcome:
+        """Return the function that reports the progress of a round."""
 
-    def refine(places: Sequence[Place]) -> None:
-        new = [point for point in dict.fromkeys(places) if point not in fine]
-        fine.update(zip(new, measure("fine", new, FINE_CANDIDATES), strict=True))
+        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
+            if self._progress is not None:
+                self._progress(name, n_done, total)
 
-    refine(_best_first(dict(zip(starts, coarse, strict=True)))[:FINE_PLACES])
-    climbers = [basin[0] for basin in _basins(_best_first(fine), high - low)][:CLIMBERS]
-    steps = [np.array(FIRST_STEPS)] * len(climbers)
-    while any((step > np.array(LAST_STEPS) / 2).all() for step in steps):
-        neighbours = [
-            _neighbours(p, step, low, high, free) if (step > np.array(LAST_STEPS) / 2).all() else []
-            for p, step in zip(climbers, steps, strict=True)
-        ]
-        refine([point for points in neighbours for point in points])
-        for k, points_near in enumerate(neighbours):
-            best = min(points_near, key=lambda p: (fine[p].rank, p), default=climbers[k])
-            if fine[best].rank < fine[climbers[k]].rank:
-                climbers[k] = best
-            else:
-                steps[k] = steps[k] / 2
-    full = _best_of_all_basins(list(dict.fromkeys([*climbers, *_best_first(fine)])), FULL, high - low)
-    full = _best_first(dict(zip(full, measure("full", full, None), strict=True)))
-    finalists = _best_of_all_basins(full, FINALISTS, high - low)
-    values = compute("views and time", finalists, what=WITH_VIEWS, candidates=None)
-    ten = sorted(
-        (placement_row(point, (b, c), each) for point, each in zip(finalists, values, strict=True) if "views" in each),
-        key=lambda row: (-round(row["coverable %"], 1), row["views"], row["cycle s"] or np.inf),
-    )[:10]
-    if planned_places and default not in [tuple(row[axis] for axis in AXES) for row in ten]:
-        (views_and_time,) = compute("views and time", [default], what=WITH_VIEWS, candidates=None)
-        ten.append(placement_row(default, (b, c), views_and_time))
-    planned_places += [tuple(row[axis] for axis in AXES) for row in ten[:N_PLANNED]]
-    ten = _planned_first(ten, compute_plans(planned_places), default)
-    lost_mm, unreached_mm = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
-    shares = [each.coverable for each in coarse]
-    return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, places, len(evaluated))
+        return on_outcome
+
+
+def _place(row: Row) -> Place:
+    return tuple(row[axis] for axis in AXES)
 
 
 def _planned_first(rows: Sequence[Row], planned: Mapping[Place, PlannedPlacement], default: Place) -> list[Row]:
@@ -220,12 +253,10 @@ def _planned_first(rows: Sequence[Row], planned: Mapping[Place, PlannedPlacement
     best = best_place(planned, default)
 
     def rank(row: Row) -> tuple[bool, bool, tuple[float, ...]]:
-        place = tuple(row[axis] for axis in AXES)
+        place = _place(row)
         return place != best, place not in planned, planned[place].rank if place in planned else ()
 
-    return [row | planned_columns(planned.get(tuple(row[axis] for axis in AXES))) for row in sorted(rows, key=rank)][
-        :10
-    ]
+    return [row | planned_columns(planned.get(_place(row))) for row in sorted(rows, key=rank)[:10]]
 
 
 def place_study(
@@ -297,7 +328,7 @@ def _neighbours(point: Place, step: Floats, low: Floats, high: Floats, free: Int
 
 def _surroundings(best: Row, measure: Callable[[Sequence[Place]], list[PlaceCoverage]]) -> tuple[float, float]:
     """Return the distances [mm] at which coverage is lost, and at which nothing is reachable, in any direction."""
-    here = tuple(best[axis] for axis in AXES)
+    here = _place(best)
     directions = np.vstack([np.eye(3), -np.eye(3)])
     points = [here] + [
         _rounded(np.array([*(np.array(here[:3]) + distance * direction), here[3]]))

@@ -1,13 +1,21 @@
-"""`cell place`: selection of the placements that are evaluated again, and of their candidates."""
+"""`cell place`: its rounds, selection of the placements that are evaluated again, and of their candidates."""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from cell.errors import UnreachableError
 from cell.scene.file import load_scene
-from cell.study.place_search import _basins, _best_of_all_basins
+from cell.study.options import PlaceRange
+from cell.study.place_search import LAST_STEPS, _basins, _best_of_all_basins, search
 from cell.study.placement_study import placement_study
+from cell.study.placement_trial import COVERAGE_ONLY
 from cell.study.planned_placement import PlannedPlacement, best_place, place_of
 from cell.study.prepared_part import Bench
-from cell.study.trials import Outcome
+from cell.study.trials import Outcome, Trial, Workers
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]
@@ -66,3 +74,84 @@ def test_the_plan_of_the_scene_is_a_trial_once():
         assert len(study.trials) == len(set(study.trials)) == len(grid_x) + 1
         assert len(finalists) == len(grid_x) - 1
         assert not set(finalists) & set(study.trials)
+
+
+_RANGE = PlaceRange(x_mm=(800.0, 1600.0), y_mm=(0.0, 800.0), z_mm=(0.0, 0.0), yaw_deg=(0.0, 0.0))
+_BEST, _SECOND = np.array([1437.0, 263.0, 0.0]), np.array([950.0, 700.0, 0.0])
+
+
+class AnalyticWorkers(Workers):
+    """Workers whose coverage is a function of the placement: two cones on a plain, the higher one at `_BEST`.
+
+    Attributes:
+        height: coverage at `_BEST`.
+        has_plans: whether placements have plans.
+        functions: names of the functions of all computed trials.
+    """
+
+    def __init__(self, height: float = 0.9, *, has_plans: bool = True) -> None:
+        self.height, self.has_plans, self.functions = height, has_plans, list[str]()
+
+    def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
+        """Yield the values of each trial."""
+        for trial in trials:
+            _, _, function = trial.function.partition(":")
+            self.functions.append(function)
+            settings = json.loads(trial.settings)
+            place = np.array(settings["position_mm"])
+            to_best, to_second = (float(np.linalg.norm(place - centre)) for centre in (_BEST, _SECOND))
+            coverage = max(0.0, self.height - to_best / 1000, self.height - 0.1 - to_second / 1000)
+            views = {"views": 7, "lower_bound": 6, "visible": coverage}
+            if function == "plan_placement":
+                yield Outcome(trial, {**views, "duration_s": 9.0} if self.has_plans else {"cause": "none"}, "", {})
+            else:
+                values = {"reachable": coverage, "coverable": coverage, "cycle_s": 9.0}
+                yield Outcome(trial, values if settings["what"] == COVERAGE_ONLY else values | views, "", {})
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep analytic results out of the cache of other tests."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_the_rounds_find_the_higher_of_two_maxima() -> None:
+    """The best placement is within the last steps of the maximum; its surroundings have the distances of the cone."""
+    scene = load_scene(None, {"part": {"name": "mug"}, "placement": {"position_mm": [950.0, 700.0, 0.0]}})
+    workers = AnalyticWorkers()
+    found = search(scene, _RANGE, workers)
+    best = found.ten[0]
+    assert abs(best["x mm"] - _BEST[0]) < LAST_STEPS[0]
+    assert abs(best["y mm"] - _BEST[1]) < LAST_STEPS[1]
+    assert best["planned views"] == 7
+    assert found.lost_mm == 50.0  # 5 % of 0.9 are lost at 45 mm
+    assert found.unreached_mm == np.inf or found.unreached_mm >= 800.0
+    assert len(found.ten) == 10
+    assert found.ten[1]["planned views"] == found.ten[2]["planned views"] == 7  # the second, and the scene's
+    assert (950.0, 700.0) in {(row["x mm"], row["y mm"]) for row in found.ten[:3]}
+    assert found.places["coarse"] == 256
+    assert found.places["plans"] == 3
+    assert len(workers.functions) <= sum(found.places.values())
+    again = AnalyticWorkers()
+    assert search(scene, _RANGE, again) == found
+    assert again.functions == []
+
+
+@pytest.mark.usefixtures("own_cache")
+@pytest.mark.parametrize(
+    ("workers", "cause"),
+    [
+        (AnalyticWorkers(-1.0), "nothing of the part is reachable in this range"),
+        (AnalyticWorkers(has_plans=False), "none of the best placements has a plan"),
+    ],
+    ids=["coverage", "plans"],
+)
+def test_a_range_without_coverage_or_plans_is_refused(workers: AnalyticWorkers, cause: str) -> None:
+    """The message names the options of the range."""
+    scene = load_scene(None, {"part": {"name": "mug"}, "placement": {"position_mm": [5000.0, 0.0, 0.0]}})
+    with pytest.raises(UnreachableError, match=f"{cause}; .*--x"):
+        search(scene, _RANGE, workers)
