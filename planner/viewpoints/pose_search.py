@@ -6,7 +6,8 @@ direction table on the samples that no other view measures, and the best few are
 views in one call. A view moves to the first reachable one unless it loses area; small losses are accepted with a
 probability (Kirkpatrick, Gelatt, Vecchi 1983, doi:10.1126/science.220.4598.671, at a constant temperature). Few
 proposals are better than many: views drift along plateaus of equal area, and the next gain is found from there. In some
-rounds the best candidate is proposed as well.
+rounds the best candidate is proposed as well. Of many views several are left out; if the rest cannot be repaired,
+candidates are added one by one.
 
 When the table says that the goal is reached, exact rays on other samples decide; a shortfall there raises the goal.
 Views that pass are the new start, with one view less. The last part of the effort moves the fewest views to a larger
@@ -32,11 +33,13 @@ _PROPOSALS = 12  # of a view in a round
 _TESTED = 3  # best proposals of a view that are tested for reachability
 _LAST_PART = 0.1  # of the effort, for a larger area
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
-_VIEWS_PER_REMOVAL = 15  # one view of this many is left out at a time
+_MANY_VIEWS = 25  # from this number on several views are left out at a time
+_VIEWS_PER_REMOVAL = 8  # one view of this many
+_SHARE_OF_REMOVAL = 0.04  # of the effort, after which one of several views that were left out is replaced
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
-_TEMPERATURE = 3e-4  # share of the surface
+_TEMPERATURE = 3e-4  # share of the surface; from `_MANY_VIEWS` on the sum over all views does not grow
 _RETURNS = 5  # returns to the best views after which the search begins again without other views
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
@@ -174,18 +177,14 @@ def search_poses(
         The result; Ctrl-C ends the search with the views so far.
     """
     selections = [pool.pick(initial)]
-    count, before_last_part = max(1, len(initial) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
+    before_last_part = round((1 - _LAST_PART) * effort)
     search = None
     try:
         with deferred_interrupt():
             search = _Search(pool, places, weights, effort, rng, pool_measured, progress)
             while search.evaluated < before_last_part and len(selections[-1]) > 1:
-                count = min(count, len(selections[-1]) - 1)
-                fewer = search.repaired(selections[-1], count, shortfall, before_last_part)
-                if fewer is not None:
+                if (fewer := search.repaired(selections[-1], shortfall, before_last_part)) is not None:
                     selections.append(fewer)
-                elif count > 1:
-                    count //= 2
             if len(selections) > 1 and (moved := search.with_larger_area(selections[-1], shortfall)) is not None:
                 selections.append(moved)
     except KeyboardInterrupt as stop:
@@ -210,16 +209,24 @@ class _Search:
         self.pool_of_row = csr_array(self.pool_measured.T)
         self._set(pool.pick(np.arange(0)), np.empty((0, len(weights)), dtype=np.bool_))
 
-    def repaired(self, start: SearchPoses, removed: int, shortfall: Shortfall, effort: int) -> SearchPoses | None:
-        """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
+    def repaired(self, start: SearchPoses, shortfall: Shortfall, effort: int) -> SearchPoses | None:
+        """Return fewer views than the start that hold the requirement; None if the effort is exhausted.
+
+        Of many views several are left out. Each part of the effort that does not suffice adds a candidate, until a
+        single view is missing.
+        """
+        removed = len(start) // _VIEWS_PER_REMOVAL if len(start) >= _MANY_VIEWS else 1
         measured = self._measured(start)
         goal = float(self.weights[measured.any(axis=0)].sum()) + shortfall(start)
         remaining = self._needed_most(measured, removed)
         self._set(start.pick(remaining), measured[remaining])
-        limit = effort if removed == 1 else min(effort, self.evaluated + effort // 5)
+        begin, returns = self.evaluated, 0
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
-        returns = 0
-        while self.evaluated < limit:
+        while self.evaluated < effort:
+            if removed > 1 and self.evaluated - begin > _SHARE_OF_REMOVAL * effort:
+                self._set(*best)
+                self._add_from_pool()
+                removed, begin, best_area = removed - 1, self.evaluated, 0.0
             self._round()
             area = self._area()
             since += 1
@@ -301,7 +308,7 @@ class _Search:
         Proposals of all views are evaluated and tested for reachability first; a move is decided by the views so far.
         """
         n, T = len(self.views), self._perturbed()
-        accepted = _TEMPERATURE * np.log(self.rng.random(n))
+        accepted = _TEMPERATURE * min(1.0, _MANY_VIEWS / n) * np.log(self.rng.random(n))
         rows, starts = list_open_rows(self.measured, self.count, self.order)
         least = self._own_weights(rows, starts) + accepted
         area = self._sums(T, rows, starts, least)
@@ -338,6 +345,13 @@ class _Search:
                 here = np.array([candidate])
                 if self._accepted(np.array([view]), self.pool_measured[here], np.zeros(1))[0]:
                     self.views = self.views.with_view(view, self.pool.pick(here))
+
+    def _add_from_pool(self) -> None:
+        """Add the candidate with the largest area that no view measures."""
+        rows = np.flatnonzero(self.count == 0)
+        best = np.array([np.argmax(self.pool_measured[:, rows] @ self.weights[rows])])
+        views = join_poses([self.views, self.pool.pick(best)])
+        self._set(views, np.concatenate([self.measured, self.pool_measured[best]]))
 
     def _own_weights(self, rows: Ints, starts: Ints) -> Floats:
         """Return (n,) weight of the open rows that each view measures."""

@@ -95,3 +95,32 @@ def test_effort_limits_the_evaluated_poses(case):
     """The search ends with the round in which the effort is exhausted; without fewer views, a tenth is left."""
     found = _search(case, required=2.0, effort=5_000)
     assert 4_500 <= found.evaluated <= 4_500 + 12 * len(case[4])
+
+
+def test_candidates_are_added_if_too_many_views_were_left_out(case):
+    """Of 40 views that cannot move, exactly the two with the smallest area of their own can be spared."""
+    samples, _, caster, pool, _, _ = case
+    scanner = LaserArea(fov_deg=(6, 6), range_mm=(50, 150), baseline_mm=5, sensor_grazing_max_deg=75)
+    targets = RayTargets.of(samples.points, samples.normals)
+    narrow = DirectionTable.build(targets, scanner, caster, (), (0.05, 0.16))
+    measured = find_measured(pool.T_object_scanner[:, None], samples, scanner, (caster,), each=True)
+
+    def without(left: np.ndarray) -> float:
+        return float(measured[:, left].any(axis=1).mean())
+
+    fewest = np.arange(N)
+    for _ in range(2):
+        shares = [without(np.delete(fewest, k)) for k in range(len(fewest))]
+        fewest = np.delete(fewest, int(np.argmax(shares)))
+    required = without(fewest)
+    assert max(without(np.delete(fewest, k)) for k in range(len(fewest))) < required
+
+    def share(views: SearchPoses) -> float:
+        return float(find_measured(views.T_object_scanner[:, None], samples, scanner, (caster,)).mean())
+
+    found = search_poses(
+        np.arange(N), pool, [Place(narrow, lambda T: np.zeros(len(T), dtype=bool))], np.full(600, 1 / 600),
+        shortfall=lambda views: required - share(views), effort=60_000, rng=np.random.default_rng(0),
+    ).found  # fmt: skip
+    assert [len(views) for views in found] == [40, 38]
+    assert share(found[-1]) >= required
