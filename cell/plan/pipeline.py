@@ -15,7 +15,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from cell import scanners
-from cell.errors import FileError, UnreachableError, UsageError
+from cell.errors import UnreachableError, UsageError
+from cell.files import file_errors
 from cell.inspect.artefacts import FEATURES
 from cell.part import workpiece
 from cell.part.planning_mesh import planning_mesh
@@ -203,10 +204,8 @@ def open_run(
 def _logged(path: Path) -> Iterator[None]:
     """Write the log of this process to a file as well."""
     root = logging.getLogger()
-    try:
+    with file_errors(f"{path} cannot be written", "choose a writable --out"):
         handler = logging.FileHandler(path, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}; choose a writable --out") from error
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     level = root.level
     root.addHandler(handler)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from cell import scanners
 from cell.errors import FileError
+from cell.files import file_errors
 from cell.part import workpiece
 from cell.part.planning_mesh import planning_mesh
 from cell.part.workpiece import Workpiece
@@ -225,7 +226,5 @@ def _bench(settings: str) -> Bench:
 
 
 def _sha256(path: str) -> str:
-    try:
+    with file_errors(f"{path} cannot be read"):
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error

@@ -140,10 +140,7 @@ class Playback:
         self._table_poses.set_configuration(self.data, q)
 
     def _scanner_now(self) -> Floats:
-        T = np.eye(4)
-        T[:3, :3] = self.data.site_xmat[self._flange].reshape(3, 3)
-        T[:3, 3] = self.data.site_xpos[self._flange]
-        T_base_scanner: Floats = T @ self.replay_model.T_flange_scanner
+        T_base_scanner: Floats = robot.frame_of(self.data.site(self._flange)) @ self.replay_model.T_flange_scanner
         return T_base_scanner
 
 
