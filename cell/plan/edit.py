@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
 from cell.formatting import comma_list
+from cell.part.workpiece import Workpiece
 from cell.plan import files, pipeline
 from cell.plan.candidates import (
     Cell,
@@ -143,7 +144,8 @@ def edit(session: Session[None], run: Run, changes: Edit, *, T_base_object: Floa
     session = replace(session, origin=replace(session.origin, scene_path=run.folder / "scene.toml"))
     opened = None
     try:
-        with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
+        part = Workpiece(run.scene.part.name, run.reference, run.scene.part.sha256)
+        with pipeline.open_run(session, scene, part) as opened:
             opened.conclude(_plan(opened.session, opened.settled, run, changes, is_moved=T_base_object is not None))
         return opened.path
     except (UsageError, UnreachableError):  # nothing in the folder explains more than the message

@@ -257,11 +257,6 @@ def copy_surface(session: PlanSession, settled: SettledScene, run: Run) -> PartS
         return make_surface(settled.part.reference, run.planning_mesh, run.measurability.samples)
 
 
-def part_of_run(run: Run) -> Workpiece:
-    """Return the part of a finished run."""
-    return Workpiece(run.scene.part.name, run.reference, run.scene.part.sha256)
-
-
 def compile_cell(session: PlanSession, settled: SettledScene, surface: PartSurface, *, is_belief: bool = False) -> Cell:
     """Compile the cell. The surface of a belief is inside unseen space, so that it is not checked for contacts."""
     with session.stage("compile the cell"):
@@ -351,7 +346,7 @@ def select_and_connect(
         fresh = session.rng(Stream.FRESH_SAMPLES)
         reason = "" if append is None else skip_reason(problem)
         is_searched = append is not None and not reason
-        start = select_with_row_generation(problem.unpriced(), surface, rng, fresh, is_short=is_searched)
+        start = select_with_row_generation(problem.with_costs(None), surface, rng, fresh, is_short=is_searched)
     choice, search = start, None
     if append is not None and is_searched:
         with _search_stage(session, len(start[1].cover.views)) as report:

@@ -364,12 +364,11 @@ class SelectionProblem(MeasuredSet):
     def priced(self) -> "SelectionProblem":
         """Return the problem with the least time of each candidate as its cost."""
         home = self.world.home if self.is_at_rest else None
-        costs = least_view_times(self.request.plan, self.reached, home, self.limits)
-        return replace(self, request=replace(self.request, costs=costs))
+        return self.with_costs(least_view_times(self.request.plan, self.reached, home, self.limits))
 
-    def unpriced(self) -> "SelectionProblem":
-        """Return the problem for the fewest views."""
-        return replace(self, request=replace(self.request, costs=None))
+    def with_costs(self, costs: Floats | None) -> "SelectionProblem":
+        """Return the problem with the cost of each view; None: the fewest views."""
+        return replace(self, request=replace(self.request, costs=costs))
 
 
 def least_view_times(plan: PlanSettings, reached: Reach, home: Floats | None, limits: JointLimits) -> Floats:

@@ -204,14 +204,10 @@ class Run(ArtefactFolder):
         return self.manifest.exit_code or 0
 
     @property
-    def is_in_setups_folder(self) -> bool:
-        """Whether the run is a subfolder of a folder of `cell setups`."""
-        return (self.folder.absolute().parent.parent / "setups.json").is_file()
-
-    @property
     def is_setup_of_group(self) -> bool:
         """Whether the run is one of several set-ups with a common cover, or an edited copy of one."""
-        return bool(self.report.common_cover) or self.is_in_setups_folder  # older reports do not have the key
+        setups = self.folder.absolute().parent.parent / "setups.json"
+        return bool(self.report.common_cover) or setups.is_file()  # older reports do not have the key
 
     @property
     def is_single_setup(self) -> bool:
@@ -340,11 +336,6 @@ class Run(ArtefactFolder):
             yield
         except ValueError as error:
             raise FileError(f"{self.folder / 'cell.xml'} is damaged: MuJoCo cannot compile it; plan again") from error
-
-    @property
-    def plan_pose_sd(self) -> tuple[float, float]:
-        """Standard deviations of executed poses that the plan assumes [mm, deg]."""
-        return self.scene.plan.pose_sd_mm, self.scene.plan.pose_sd_deg
 
     @property
     def coverage(self) -> Coverage:

@@ -130,12 +130,6 @@ def add_clouds(
             add_mesh(scene, replay_model.model, mesh, T, NEWEST if scan == newest else EARLIER)
 
 
-def add_violations(scene: mujoco.MjvScene, violations: Sequence[ClearanceViolation]) -> None:
-    """Draw a red ball at each clearance violation."""
-    for violation in violations:
-        add_ball(scene, np.array(violation.position), 0.02, CONTACT)
-
-
 def find_violations(replay_model: ReplayModel, data: mujoco.MjData) -> tuple[ClearanceViolation, ...]:
     """Return the clearance violations at the pose of `data`, smallest distance first, with the checked shapes.
 

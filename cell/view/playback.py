@@ -103,7 +103,8 @@ class Playback:
             overlays.add_frustum(scene, self.replay_model, self.T_base_scanner[row])
         elif self.timeline.stops:
             overlays.add_glyph(scene, self.replay_model, self._scanner_now())
-        overlays.add_violations(scene, violations)
+        for violation in violations:
+            overlays.add_ball(scene, np.array(violation.position), 0.02, overlays.CONTACT)
         if self.tightest is not None and self.tightest.is_shown_at(t):
             add_tightest(scene, self.tightest)
 

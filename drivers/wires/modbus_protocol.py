@@ -161,8 +161,8 @@ def _unpack(fields: Sequence[Field], data: bytes) -> dict[str, Value]:
     return unpacked
 
 
-with (resources.files("drivers.wires") / "modbus_registers.csv").open(encoding="utf-8", newline="") as _file:
-    _ROWS = list(csv.DictReader(_file))
+_TABLE = (resources.files("drivers.wires") / "modbus_registers.csv").read_text(encoding="utf-8")
+_ROWS = list(csv.DictReader(_TABLE.splitlines()))
 
 COMMANDS: Final = {int(row["name"]): row["meaning"] for row in _ROWS if row["block"] == "command code"}
 
