@@ -24,7 +24,7 @@ from cell.plan.setup_search import ConnectedSetup, SetupSearch, SetupsRequest
 from cell.plan.shared_surface import shared_surfaces, unconnected_setups
 from cell.report.setups_report import page, status
 from cell.runs.cell import scene_of_run
-from cell.runs.run import Run
+from cell.runs.run import Run, open_finished
 from cell.runs.schema import (
     CandidateSetup,
     SelectedSetup,
@@ -65,7 +65,7 @@ def plan_setups(session: Session[None], scene: Scene, *, options: SetupOptions, 
         UnreachableError: if no set-up candidate measures anything.
     """
     options.check(scene)
-    first = None if options.first is None else Run.open_finished(Path(options.first))
+    first = None if options.first is None else open_finished(Path(options.first))
     if options.proposals == 0 and not scene.setup:
         raise UsageError("there is no set-up candidate: give [[setup]] tables in the scene, or a larger --proposals")
     with pipeline.open_run(session, scene, part, with_plots=scene.plan.curve) as run:
@@ -232,7 +232,7 @@ def _setups_file(
 ) -> SetupsFile:  # fmt: skip
     selected_setups, seen = [], np.zeros_like(used[0][1])
     for number, (row, visible) in enumerate(used, start=1):
-        run = Run.open_finished(session.folder.path / "setups" / str(number))
+        run = open_finished(session.folder.path / "setups" / str(number))
         marginal = float((visible & ~seen).mean())
         seen = seen | visible
         selected_setups.append(

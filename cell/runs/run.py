@@ -397,42 +397,6 @@ class Run(ArtefactFolder):
             return []
         return sorted((path.name for path in root.iterdir() if path.is_dir() and path.name.isdecimal()), key=int)
 
-    @classmethod
-    def open(cls, folder: Path) -> Self:
-        """Open a run folder by its manifest, finished or not."""
-        if not folder.is_dir():
-            raise FileError(_missing_folder(folder))
-        path = folder / "manifest.json"
-        if not path.is_file():
-            raise FileError(
-                f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made"
-            )
-        if (folder / "setups.json").is_file():
-            runs = ", ".join(str(path) for path in sorted((folder / "setups").iterdir()))
-            raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
-        manifest = read_manifest(path)
-        schema = manifest.schema_version
-        if schema not in (SCHEMA, *FORMER_SCHEMAS):
-            if schema is not None and schema.startswith("scan-cell/run/"):
-                raise FileError(
-                    f"{folder} has the schema {schema}, and this version of scan-cell reads "
-                    f"{', '.join(FORMER_SCHEMAS)} and {SCHEMA}; plan again, or use the version that its "
-                    f"manifest.json names"
-                )
-            raise FileError(
-                f"{folder} is not a run folder: its manifest.json does not have the schema {SCHEMA}; give the folder "
-                "that cell plan made"
-            )
-        return cls(folder, manifest)
-
-    @classmethod
-    def open_finished(cls, folder: Path) -> Self:
-        """Open the run folder of a finished plan."""
-        run = cls.open(folder)
-        if not run.is_finished:
-            raise FileError(f"{folder} has no finished plan: the run {run.ending}; plan again")
-        return run
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Execution(ArtefactFolder):
@@ -584,13 +548,37 @@ class RecordedExecution:
 
 
 def open_run(folder: Path) -> Run:
-    """Open a run folder, finished or not."""
-    return Run.open(folder)
+    """Open a run folder by its manifest, finished or not."""
+    if not folder.is_dir():
+        raise FileError(_missing_folder(folder))
+    path = folder / "manifest.json"
+    if not path.is_file():
+        raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
+    if (folder / "setups.json").is_file():
+        runs = ", ".join(str(path) for path in sorted((folder / "setups").iterdir()))
+        raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
+    manifest = read_manifest(path)
+    schema = manifest.schema_version
+    if schema not in (SCHEMA, *FORMER_SCHEMAS):
+        if schema is not None and schema.startswith("scan-cell/run/"):
+            raise FileError(
+                f"{folder} has the schema {schema}, and this version of scan-cell reads "
+                f"{', '.join(FORMER_SCHEMAS)} and {SCHEMA}; plan again, or use the version that its "
+                f"manifest.json names"
+            )
+        raise FileError(
+            f"{folder} is not a run folder: its manifest.json does not have the schema {SCHEMA}; give the folder "
+            "that cell plan made"
+        )
+    return Run(folder, manifest)
 
 
 def open_finished(folder: Path) -> Run:
     """Open the run folder of a finished plan."""
-    return Run.open_finished(folder)
+    run = open_run(folder)
+    if not run.is_finished:
+        raise FileError(f"{folder} has no finished plan: the run {run.ending}; plan again")
+    return run
 
 
 def read_execution(run: Run, execution: str) -> RecordedExecution:

@@ -178,11 +178,8 @@ class Bench:
         uncovered = np.arange(len(self.samples))
         for T in T_object_scanner[:, 0]:
             points = virtual_scan.scan(self.scanner, T, self.caster, reference).points
-            if len(points) and len(uncovered):
-                tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-                bound = np.nextafter(radius, np.inf)  # the bound of the tree excludes the radius itself
-                distance, _ = tree.query(self.samples.points[uncovered], distance_upper_bound=bound)
-                uncovered = uncovered[distance > radius]
+            left = pick_samples(self.samples, uncovered)
+            uncovered = uncovered[~coverage.sampled_coverage(points, left, radius).covered]
         areas = self.samples.areas
         return 1.0 - float(areas[uncovered].sum() / areas.sum())
 
