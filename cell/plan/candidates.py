@@ -40,9 +40,7 @@ from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import (
     Viewpoints,
-    join_viewpoints,
     optimal_scanning_zone,
-    pick_viewpoints,
     view_sphere,
     viewpoints_from_poses,
 )
@@ -91,7 +89,7 @@ class CandidateSet:
 
     def joined(self, more: "CandidateSet") -> "CandidateSet":
         """Return these candidates followed by others; numbers stay."""
-        viewpoints = join_viewpoints([self.viewpoints, more.viewpoints])
+        viewpoints = Viewpoints.join([self.viewpoints, more.viewpoints])
         return CandidateSet(viewpoints, join_reach([self.reached, more.reached]))
 
 
@@ -237,7 +235,7 @@ def measure(
     """
     usable, total = np.flatnonzero(candidates.reached.reachable), len(candidates.viewpoints)
     M, scanner = fill_columns(
-        session, settled, surface, casters, pick_viewpoints(candidates.viewpoints, usable), progress,
+        session, settled, surface, casters, candidates.viewpoints.pick(usable), progress,
         may_be_empty=may_be_empty,
     )  # fmt: skip
     if ignored is not None:
@@ -292,7 +290,7 @@ def append_viewpoints(
     swept = scanners.sweep_columns(settled.scanner, more.viewpoints)
     return replace(
         measured,
-        candidates=join_viewpoints([measured.candidates, swept]),
+        candidates=Viewpoints.join([measured.candidates, swept]),
         reached=join_reach([measured.reached, more.reached]),
         M=M if ignored is None else without_rows(M, ignored),
         prediction=known.with_more(swept.T_object_scanner),

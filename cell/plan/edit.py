@@ -44,7 +44,7 @@ from planner.kinematics import reach
 from planner.kinematics.reach import Reach, join_reach
 from planner.ports import ARM_AXES
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints
 
 SAME_POSE = 1e-9
 """Largest difference of the entries of equal poses [m, and entries of rotations]."""
@@ -112,7 +112,7 @@ class _Numbering:
 
     @property
     def appended(self) -> Viewpoints:
-        return pick_viewpoints(self.all, np.arange(self._n_known, len(self.all)))
+        return self.all.pick(np.arange(self._n_known, len(self.all)))
 
     def number_of(self, T: Floats, face: int, standoff: float) -> int:
         """Return the candidate at a (4, 4) pose; append it if there is none."""
@@ -127,7 +127,7 @@ class _Numbering:
         one = Viewpoints(
             T[None, None], np.array([face], dtype=np.int32), np.array([standoff]), np.array([np.arctan2(y, x)])
         )
-        self.all = join_viewpoints([self.all, one])
+        self.all = Viewpoints.join([self.all, one])
         return len(self.all) - 1
 
 

@@ -42,7 +42,7 @@ from cell.session import Session, Stream
 from cell.world.measurability import PartSurface
 from planner.cover.grouped import GroupedCover
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools
 from planner.viewpoints.attainable import probe_attainable
 from planner.viewpoints.lines_of_sight import RayTargets
@@ -324,7 +324,7 @@ def uncovered_surface(
         if not isinstance(setup := setups[row], PlannedSetup):
             continue
         free = np.flatnonzero(~setup.contact[rows] & ~measured)
-        searched = pick_samples(samples, rows[free])
+        searched = samples.pick(rows[free])
         targets = RayTargets.of(searched.points, searched.normals, searched.region)
         probe = probe_attainable(targets, setup.evaluator(searched))
         measured[free] |= probe.measured

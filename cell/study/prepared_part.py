@@ -10,7 +10,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cell import scanners
 from cell.errors import FileError
@@ -42,7 +41,7 @@ from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, pick_measurability
 from planner.ports import Scanner
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +137,7 @@ class Bench:
             rng = random_stream(self.scene.plan.seed, Stream.CANDIDATE_SUBSET)
             which = np.sort(rng.permutation(len(self.candidates))[:count])
             M = pick_measurability(self.matrix("aimed", self.candidates), which)
-            self._subsets[count] = pick_viewpoints(self.candidates, which), M
+            self._subsets[count] = self.candidates.pick(which), M
         return self._subsets[count]
 
     def select(
@@ -178,7 +177,7 @@ class Bench:
         uncovered = np.arange(len(self.samples))
         for T in T_object_scanner[:, 0]:
             points = virtual_scan.scan(self.scanner, T, self.caster, reference).points
-            left = pick_samples(self.samples, uncovered)
+            left = self.samples.pick(uncovered)
             uncovered = uncovered[~coverage.sampled_coverage(points, left, radius).covered]
         areas = self.samples.areas
         return 1.0 - float(areas[uncovered].sum() / areas.sum())

@@ -200,7 +200,7 @@ class _Growth:
         measured = self.evaluator.measured(self.evaluator.views(aimed), self.targets, rows)
         selection = _select_greedily(measured, self.multiplicity - self.count[rows])
         self.count[rows] += np.minimum(measured[:, selection].sum(axis=1), self.multiplicity - self.count[rows])
-        self.known = self.known.extend(aimed.pick(selection))
+        self.known = AimedPoses.join([self.known, aimed.pick(selection)])
 
 
 def _select_greedily(measured: Bools, demand: Ints) -> Ints:

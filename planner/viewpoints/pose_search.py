@@ -23,7 +23,7 @@ from scipy.sparse import csr_array
 from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
 from planner.interrupts import deferred_interrupt, raise_interrupt
-from planner.values import Bools, Floats, Ints, Ints32, Value
+from planner.values import Bools, Floats, Ints, Ints32, Rows
 
 EFFORTS = {"low": 12_000, "normal": 48_000, "high": 800_000}
 """Poses that a search evaluates."""
@@ -72,7 +72,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SearchPoses(Value):
+class SearchPoses(Rows):
     """Poses of n views.
 
     Attributes:
@@ -89,16 +89,6 @@ class SearchPoses(Value):
     moved: Annotated[Bools, "n"]
     place: Annotated[Ints, "n"]
 
-    def __len__(self) -> int:
-        return len(self.origin)
-
-    def pick(self, which: Ints | Bools) -> "SearchPoses":
-        """Return some of the poses."""
-        return SearchPoses(
-            self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which],
-            self.place[which],
-        )  # fmt: skip
-
     def with_poses(self, views: Ints, T_object_scanner: Floats) -> "SearchPoses":
         """Return the poses with some views moved to poses (n, 4, 4) [m] near their own."""
         T, moved = self.T_object_scanner.copy(), self.moved.copy()
@@ -108,18 +98,7 @@ class SearchPoses(Value):
     def with_view(self, view: int, other: "SearchPoses") -> "SearchPoses":
         """Return the poses with one view replaced by a single other one."""
         parts = (self.pick(np.arange(view)), other, self.pick(np.arange(view + 1, len(self))))
-        return join_poses(parts)
-
-
-def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
-    """Concatenate poses."""
-    return SearchPoses(
-        np.concatenate([part.T_object_scanner for part in parts]),
-        np.concatenate([part.distance for part in parts]),
-        np.concatenate([part.origin for part in parts]),
-        np.concatenate([part.moved for part in parts]),
-        np.concatenate([part.place for part in parts]),
-    )
+        return SearchPoses.join(parts)
 
 
 SearchProgress = Callable[[int, int, int], None]
