@@ -33,7 +33,7 @@ from planner.kinematics import reach
 from planner.kinematics.reach import Reach, Verdict, join_reach
 from planner.measurability import coverage, visibility
 from planner.measurability.matrix import Measurability, join_measurability, spread_measurability
-from planner.ports import Kinematics, Progress, RayCaster, Scanner
+from planner.ports import Kinematics, Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats
 from planner.viewpoints import growth
 from planner.viewpoints.growth import ViewEvaluator
@@ -151,7 +151,7 @@ def view_evaluator(cell: Cell, scanner: Scanner, casters: Sequence[RayCaster]) -
 
 
 def reach_viewpoints(
-    settled: SettledScene, cell: Cell, viewpoints: Viewpoints, progress: Progress | None = None
+    settled: SettledScene, cell: Cell, viewpoints: Viewpoints, progress: Progress = no_progress
 ) -> CandidateSet:
     """Solve the inverse kinematics of viewpoints, with a verdict each."""
     poses, world = scanners.sweep_columns(settled.scanner, viewpoints), cell.world
@@ -166,7 +166,7 @@ def grow_viewpoints(
     usable: Bools,
     scouts: SurfaceSamples,
     evaluator: ViewEvaluator,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
 ) -> Viewpoints:
     """Search viewpoints for scouts that no usable viewpoint measures.
@@ -197,7 +197,7 @@ def with_grown(
     candidates: CandidateSet,
     scouts: SurfaceSamples,
     casters: Sequence[RayCaster],
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
 ) -> CandidateSet:
     """Append grown viewpoints if the scene's generator grows them; numbers of the given candidates stay."""
@@ -253,7 +253,7 @@ def measure(
 
 def fill_columns(
     session: PlanSession, settled: SettledScene, surface: PartSurface, casters: Sequence[RayCaster],
-    viewpoints: Viewpoints, progress: Progress | None = None, *, may_be_empty: bool = False,
+    viewpoints: Viewpoints, progress: Progress = no_progress, *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
     """Fill M of viewpoints with occluders and limit on sigma applied; also return the scanner law with its limits."""
     scene, views = settled.scene, scanners.sweep_columns(settled.scanner, viewpoints)

@@ -30,7 +30,7 @@ from planner.geometry.sampling import SurfaceSamples, draw_samples, samples_at_f
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
 from planner.measurability.visibility import fill_matrix
-from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
+from planner.ports import Progress, RayCaster, Scanner, SigmaScanner, no_progress
 from planner.viewpoints.viewpoints import Viewpoints
 
 FORMAT = 2
@@ -235,7 +235,7 @@ def part_matrix(
     *,
     reporter: ProgressReporter | None = None,
     use_cache: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Measurability:
     """Compute M for the part alone, or read it from the cache; only missing columns are computed.
 

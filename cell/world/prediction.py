@@ -12,7 +12,7 @@ from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.visibility import VisibilityMemo, find_measured
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats
 
 
@@ -56,7 +56,7 @@ class Prediction:
         scanner: Scanner,
         casters: Sequence[RayCaster],
         T_object_scanner: Floats,
-        progress: Progress | None = None,
+        progress: Progress = no_progress,
     ) -> "Prediction":
         """Compute the coverage by the reachable candidates (n, K, 4, 4) [m]."""
         # Neighbours measure similar samples. An order by the golden ratio puts views far apart one after the other, so

@@ -23,6 +23,7 @@ from scipy.sparse import csr_array
 from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
 from planner.interrupts import deferred_interrupt, raise_interrupt
+from planner.ports import no_progress
 from planner.values import Bools, Floats, Ints, Ints32, Rows
 
 EFFORTS = {"low": 12_000, "normal": 48_000, "high": 800_000}
@@ -134,7 +135,7 @@ def search_poses(
     effort: int,
     rng: np.random.Generator,
     pool_measured: Bools | None = None,
-    progress: SearchProgress | None = None,
+    progress: SearchProgress = no_progress,
 ) -> SearchResult:
     """Search fewer views than the initial ones.
 
@@ -179,7 +180,7 @@ class _Search:
 
     def __init__(
         self, pool: SearchPoses, places: Sequence[Place], weights: Floats, effort: int, rng: np.random.Generator,
-        pool_measured: Bools | None, progress: SearchProgress | None,
+        pool_measured: Bools | None, progress: SearchProgress,
     ) -> None:  # fmt: skip
         self.pool, self.places, self.weights = pool, places, weights
         self.effort, self.rng, self.progress = effort, rng, progress
@@ -252,8 +253,7 @@ class _Search:
 
     def _report(self, n_views: int) -> None:
         raise_interrupt()
-        if self.progress:
-            self.progress(min(self.evaluated, self.effort), self.effort, n_views)
+        self.progress(min(self.evaluated, self.effort), self.effort, n_views)
 
     def _set(self, views: SearchPoses, measured: Bools) -> None:
         self.views, self.measured = views, measured.copy()
