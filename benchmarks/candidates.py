@@ -42,7 +42,7 @@ from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.viewpoints import growth
 from planner.viewpoints.growth import ViewEvaluator
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 GENERATORS = ("optimal-scanning-zone", "view-sphere", "grown")
 _RUNS = 2
@@ -162,7 +162,7 @@ class Bench:
         if generator == generators.GROWN:
             scouts = draw_samples(self.part.reference, self.planning, growth.N_SCOUTS, np.random.default_rng([0, 7]))
             added = generators.grow_viewpoints(views, reached.reachable, scouts, self.arm())
-            views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
+            views, reached = Viewpoints.join([views, added]), join_reach([reached, self.reach_of(added)])
         M = self.measure(views)
         plan = self.choose(M, reached, 1.0)
         return views, reached, M, plan, perf_counter() - start

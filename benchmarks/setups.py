@@ -27,7 +27,6 @@ from cell.world.prediction import held_out_samples
 from planner import cover
 from planner.cover import CoverProblem
 from planner.cover.grouped import GroupedCover, GroupLoads, fewest_groups, solve_grouped
-from planner.geometry.sampling import pick_samples
 from planner.values import Floats
 from planner.viewpoints.attainable import N_PROBED_SAMPLES, probe_attainable
 from planner.viewpoints.growth import ViewEvaluator
@@ -129,7 +128,7 @@ def _ceiling(folder: Path) -> tuple[float, float]:
     record = api.open_run(folder)
     cell = read_cell(record)
     samples = held_out_samples(cell.reference, cell.planning, record.seed)
-    some = pick_samples(samples, np.sort(np.random.default_rng(0).permutation(len(samples))[:N_PROBED_SAMPLES]))
+    some = samples.pick(np.sort(np.random.default_rng(0).permutation(len(samples))[:N_PROBED_SAMPLES]))
     anywhere = ViewEvaluator(
         cell.scanner, (cell.part_caster,), lambda poses: np.ones(len(poses), dtype=np.bool_), np.eye(4)[None]
     )

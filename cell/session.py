@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from planner.cover.budget import DEFAULT_EFFORT
 from planner.cover.curve import CURVE_EFFORT
 from planner.measurability.coverage import N_SAMPLES
-from planner.ports import Progress
+from planner.ports import Progress, no_progress
 from planner.viewpoints.attainable import N_PROBED_SAMPLES
 
 log = logging.getLogger(__name__)
@@ -147,18 +147,14 @@ class LoggedProgress:
 
     def __init__(self, progress: Callable[[str, int, int], None] | None = None) -> None:
         """Call `progress(stage, done, total)`; a stage begins with (0, 0) because its total is unknown."""
-        self._progress = progress
+        self._progress = progress or no_progress
 
     @contextmanager
     def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:
         """Report a stage while it runs; see `ProgressReporter`."""
         log.info("stage: %s", name)
-        if self._progress is None:
-            yield lambda n_done, total: None
-            return
-        report = self._progress
-        report(name, 0, 0)
-        yield lambda n_done, total: report(name, n_done, total)
+        self._progress(name, 0, 0)
+        yield lambda n_done, total: self._progress(name, n_done, total)
 
     def note(self, sentence: str) -> None:
         """Log a note as a warning."""

@@ -73,9 +73,11 @@ class Link(Protocol):
 
     Attributes:
         deadline: time of the client's clock after which the link does not retry by itself.
+        notify: receives messages about long waits; the client sets it.
     """
 
-    deadline: float
+    deadline: float = math.inf
+    notify: Callable[[str], None] | None = None
 
     def open(self) -> Capabilities:
         """Open the wire and check that a controller of this protocol answers."""
@@ -254,6 +256,7 @@ class ControllerClient:
     ) -> None:
         self._link, self._clock = link, clock
         self._limits, self._notify = limits, notify
+        link.notify = notify
         self.on_state: Callable[[RobotState], None] | None = None
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
         self._ledger = SequenceLedger(link, secrets.randbelow(65535) + 1, self._read)

@@ -11,12 +11,11 @@ It has everything that a wire has, numbering and refusals at both ends included,
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import numpy as np
 
-from drivers.client import ControllerClient
+from drivers.client import ControllerClient, Link
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Answer, Capabilities, Command, Result, RobotState
 from drivers.errors import DriverUrlError
@@ -31,10 +30,9 @@ POLL = 0.02
 """Longest time [s] between two readings of a moving arm, as on a wire."""
 
 
-class _InProcessLink:
+class _InProcessLink(Link):
     """A link by function calls; its controller has no other client."""
 
-    deadline = math.inf
     _session = 0
 
     def __init__(self, controller: Controller, simulated_time: bool) -> None:

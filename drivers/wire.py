@@ -18,22 +18,35 @@ Reopening a line is safe because it only reads: `drivers.client` finds out from 
 controller is still the same and whether the last command was executed.
 """
 
-import math
 import os
 import re
 import socket
 import zlib
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
 
+from drivers.client import Link
 from drivers.clock import Clock
-from drivers.contract import Answer, Capabilities, Command, Move, Reset, Result, RobotState, Stop
+from drivers.contract import (
+    FULL,
+    Answer,
+    Capabilities,
+    Command,
+    Fault,
+    Flag,
+    Mode,
+    Move,
+    Reset,
+    Result,
+    RobotState,
+    Stop,
+)
 from drivers.errors import (
     AnswerTimeoutError,
     DriverUrlError,
@@ -274,7 +287,7 @@ class Line(Protocol):
         """Release the port; allowed twice."""
 
 
-class ReopeningLink(ABC):
+class ReopeningLink(Link):
     """A link that opens a lost line again at its next use: opening, closing, retrying, and the client's watchdog.
 
     Args:
@@ -290,8 +303,6 @@ class ReopeningLink(ABC):
         self._is_open = False
         self._is_busy = False
         self.session = 0  # the taken session; 0: this client only reads
-        self.deadline = math.inf
-        self.notify: Callable[[str], None] | None = None  # receives a message about a long wait
 
     @abstractmethod
     def _handshake(self) -> Capabilities:
@@ -421,6 +432,40 @@ class ReopeningLink(ABC):
     def _drop(self) -> None:
         self._is_open = False
         self._line.close()
+
+
+def state_of_program(
+    *, is_slow: bool, is_paused: bool, has_move: bool, is_emergency: bool, passed: int, n_via: int, **fields: Any
+) -> RobotState:
+    """Return the state of a controller that reports a program and no mode.
+
+    Args:
+        is_slow: whether no axis moves.
+        is_paused: whether the program is held.
+        has_move: whether a move has begun and not ended.
+        is_emergency: whether its fault is an emergency stop.
+        passed: passed via points of the move.
+        n_via: its via points.
+        **fields: the other fields of the state.
+    """
+    fault, ack, done = fields["fault_code"], fields["ack_sequence"], fields["done_sequence"]
+    is_held = has_move and is_paused and is_slow and not fault
+    at_rest = is_slow and (is_held or bool(fault) or not has_move)
+    mode = Mode.IDLE
+    if fault:
+        mode = Mode.EMERGENCY_STOP if is_emergency else Mode.FAULT
+    elif not at_rest:
+        mode = Mode.MOVING
+    elif done and done == ack and fields["done_result"] == Result.OK and not has_move:
+        mode = Mode.IN_POSITION
+    path = FULL if mode is Mode.IN_POSITION else max(min(passed * FULL // n_via, FULL - 1), 0)
+    state = RobotState(mode=mode, at_rest=at_rest, queue_depth=int(has_move), path=path, **fields)
+    return replace(state, flags=state.flags | Flag.HELD) if is_held else state
+
+
+def fault_message(code: int) -> str:
+    """Return the message of a fault code of the contract, or name the code."""
+    return Fault(code).message if code in tuple(Fault) else f"fault {code} of this controller"
 
 
 def same_capabilities(a: Capabilities, b: Capabilities) -> bool:

@@ -20,6 +20,10 @@ Progress = Callable[[int, int], None]
 """Receives `(done, total)` during a long computation; an exception that it raises ends the computation."""
 
 
+def no_progress(*values: object) -> None:
+    """Ignore progress."""
+
+
 class Rejection(DescribedEnum):
     """First condition that a ray of a scan, or an aimed sample, fails.
 

@@ -80,6 +80,32 @@ def freeze(value: Value, /, **lengths: int) -> None:
         object.__setattr__(value, name, _sealed(name, array))
 
 
+class Rows(Value):
+    """Base class of values whose arrays all have one row for each item; an array may be None."""
+
+    __slots__ = ()
+
+    def __len__(self) -> int:
+        return len(self._arrays()[0])
+
+    def pick(self, which: NDArray[Any]) -> Self:
+        """Return some of the items, given as (n,) bool or as indices."""
+        kind: Any = type(self)
+        picked: Self = kind(*(None if array is None else array[which] for array in self._arrays()))
+        return picked
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate the items."""
+        kind: Any = cls
+        known = [[each for each in column if each is not None] for column in zip(*map(cls._arrays, parts), strict=True)]
+        joined: Self = kind(*(np.concatenate(arrays) if arrays else None for arrays in known))
+        return joined
+
+    def _arrays(self) -> list[Any]:
+        return [getattr(self, each.name) for each in _declared(type(self))]  # type: ignore[arg-type]  # as in `freeze`
+
+
 def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Return a C-contiguous, read-only copy of an array, cast and checked.
 

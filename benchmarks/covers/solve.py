@@ -13,10 +13,11 @@ from cell.errors import FileError, UsageError
 from cell.scene.fields import NotNegative, Table
 from cell.scene.options import Option
 from planner import cover
-from planner.cover.budget import DEFAULT_EFFORT, EFFORT_PER_SECOND, UNLIMITED_EFFORT
+from planner.cover.budget import DEFAULT_EFFORT, EFFORT_PER_SECOND
 from planner.errors import PlannerError
 
 _SEARCH = "Search"
+_MAX_EFFORT = 10**15
 
 
 class CoverOptions(Table):
@@ -28,15 +29,8 @@ class CoverOptions(Table):
         NotNegative | None,
         Option(
             "Effort to spend, counted and not timed: about this many seconds of one core, with the same answer on "
-            "every machine. Default: 2, or with --time-limit no other limit.",
+            "every machine. Default: 2.",
             _SEARCH, name="budget", metavar="SECONDS",
-        ),
-    ] = None  # fmt: skip
-    time_limit_s: Annotated[
-        float | None,
-        Option(
-            "Limit on wall-clock time; the answer says if it stopped the search.", _SEARCH, name="time_limit",
-            metavar="SECONDS",
         ),
     ] = None  # fmt: skip
     coverage: Annotated[float, Option("Share of the coverable rows that must be covered.")] = 1.0
@@ -119,7 +113,7 @@ def solve_file(path: Path, options: CoverOptions, *, unicost: bool) -> SolvedFil
         FileError: if the file is not a set-cover file.
         UsageError: if an option is out of its range.
     """
-    limit = UNLIMITED_EFFORT // EFFORT_PER_SECOND
+    limit = _MAX_EFFORT // EFFORT_PER_SECOND
     if options.budget_s is not None and options.budget_s > limit:
         raise UsageError(f"--budget is {options.budget_s:g}; it must be from 0 to {limit} seconds of effort")
     problem = read(path, options.form)
@@ -127,10 +121,7 @@ def solve_file(path: Path, options: CoverOptions, *, unicost: bool) -> SolvedFil
         raise FileError(
             f"{path} has {problem.matrix.shape[0]} rows and {problem.matrix.shape[1]} columns; both must be 1 or more"
         )
-    if options.budget_s is not None:
-        budget = round(options.budget_s * EFFORT_PER_SECOND)
-    else:
-        budget = DEFAULT_EFFORT if options.time_limit_s is None else UNLIMITED_EFFORT
+    budget = DEFAULT_EFFORT if options.budget_s is None else round(options.budget_s * EFFORT_PER_SECOND)
     areas, costs = np.ones(problem.matrix.shape[0]), None if unicost else problem.costs
     start = time.perf_counter()
     try:
@@ -138,9 +129,7 @@ def solve_file(path: Path, options: CoverOptions, *, unicost: bool) -> SolvedFil
             problem.matrix, areas, coverage=options.coverage, demand=options.multiplicity, costs=costs
         )
         rng = np.random.default_rng(options.seed)
-        result = cover.solve(
-            request, rng=rng, solver=options.solver, effort_budget=budget, time_limit_s=options.time_limit_s
-        )
+        result = cover.solve(request, rng=rng, solver=options.solver, effort_budget=budget)
     except PlannerError as error:
         raise UsageError(str(error)) from error
     return SolvedFile(path, problem, result, time.perf_counter() - start)

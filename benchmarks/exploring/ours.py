@@ -19,7 +19,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import GainRecord, select_by_gain_per_second
 from planner.explore.space import VoxelSpace
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster
 from planner.values import Floats
@@ -62,7 +62,7 @@ class _Ours:
         poses = np.concatenate([poses, T[moved]])
         M = np.concatenate([M, find_measured(T[moved, None], rows, lab.scanner, casters, each=True)], axis=1)
         best = int(np.argmax(rows.areas @ M))
-        self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
+        self._expected, self._before = (rows.pick(M[:, best]), float(mesh.areas.sum())), space
         return poses[best]
 
     def _learned(self, known: Knowledge) -> VoxelSpace:

@@ -64,7 +64,7 @@ def reduced(context: typer.Context) -> None:
 @app.command(
     epilog="Examples:\n\n"
     "python -m benchmarks cover solve scp41.txt --unicost --budget 10\n\n"
-    "python -m benchmarks cover solve rail507.gz --time-limit 60 --json\n\n"
+    "python -m benchmarks cover solve rail507.gz --budget 60 --json\n\n"
     "FILE is in the row or the rail format of the OR-Library, or a list of Steiner triples; plain or gzip. Ctrl-C ends "
     "the search with the best cover so far."
 )

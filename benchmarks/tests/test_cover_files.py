@@ -101,7 +101,6 @@ def test_the_table_says_cover_bound_and_status(run_benchmarks: Run, tmp_path: Pa
         (ROWS, ("--solver", "magic"), 2, "choose one of"),
         (ROWS, ("--coverage", "1.5"), 2, "from 0 to 1"),
         (ROWS, ("--budget", "-1"), 2, "--budget"),
-        (ROWS, ("--time-limit", "-1"), 2, "time limit"),
         (ROWS, ("--multiplicity", "0"), 2, "at least once"),
         (ROWS, ("--seed", "-1"), 2, "--seed"),
         ("1 1\n1\n1\n1", (), 2, "choose the format with --format"),
@@ -129,15 +128,6 @@ def hard(path: Path) -> None:
     path.write_text("200 900\n" + "1 " * 900 + "\n" + "\n".join(lines))
 
 
-def test_the_clock_ends_the_search_and_the_answer_says_so(run_benchmarks: Run, tmp_path: Path) -> None:
-    """A time limit without a budget ends the search in time, and the answer names the limit."""
-    hard(tmp_path / "hard")
-    answer = solved(run_benchmarks, tmp_path / "hard", "--time-limit", "1")
-    assert answer["status"] == "time_limited"
-    assert "the time limit stopped the search" in str(answer["sentence"])
-    assert float(str(answer["seconds"])) >= 0.9  # the accuracy of the limit: benchmarks cover steady
-
-
 def test_the_same_budget_gives_the_same_answer(run_benchmarks: Run, tmp_path: Path) -> None:
     """Two runs with the same budget of counted work agree in everything but their seconds."""
     hard(tmp_path / "hard")
@@ -161,7 +151,7 @@ def test_ctrl_c_gives_the_best_cover_so_far(tmp_path: Path, run_benchmarks: Run,
     hard(tmp_path / "hard")
     # One run before compiles the loops, so that the interrupt hits the search.
     solved(run_benchmarks, tmp_path / "hard", "--budget", "0.1")
-    command = [sys.executable, "-m", "benchmarks", "cover", "solve", "hard", "--json", "--time-limit", "300"]
+    command = [sys.executable, "-m", "benchmarks", "cover", "solve", "hard", "--json", "--budget", "300"]
     with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 200
         while _processor_seconds(process.pid) < _INTO_THE_SEARCH:

@@ -297,9 +297,7 @@ def _after_view(what: Path | None) -> Sequence[tuple[object, ...]]:
         return [("cell", "plan", *(["--scene", what] if what else []))]
     if (folder := what.absolute()).parent.name == EXECUTIONS:
         return [("cell", "replay", folder.parent.parent, "--execution", folder.name)]
-    if not (what / "plan.json").is_file():
-        return []
-    if not (what / "report.json").is_file():  # an unfinished run
+    if not all((what / name).is_file() for name in ("plan.json", "report.json")):  # a study, or an unfinished run
         return []
     run = open_run(what)
     drop = drop_command(run.report, 1, str(what))

@@ -32,7 +32,7 @@ from cell.scene.model import Scene
 from cell.session import Session
 from planner.explore.gain import N_LATEST_BATCHES, gain_ratio
 from planner.explore.space import OCCUPIED, VoxelSpace
-from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools, Floats
 
 _FILES = "files:"
@@ -306,7 +306,7 @@ def _expected_gain(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expect
     if on == BELIEVED:  # a batch may include covered surface
         rows = rows & ~before.is_measured(M.samples.points, M.samples.normals)
     surface = float(run.mesh("reference.ply").areas.sum())
-    return _ExpectedGain(pick_samples(M.samples, rows), sees[rows], surface, on)
+    return _ExpectedGain(M.samples.pick(rows), sees[rows], surface, on)
 
 
 def _batch_entry(

@@ -6,7 +6,7 @@ by the scanner's conditions: strips between points, steep surface, and walls bey
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Annotated
 
@@ -16,7 +16,7 @@ from cell.explore.options import ExploreOptions
 from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 from planner.explore.gain import GainRecord, gain_ratio
 from planner.explore.space import VoxelSpace
-from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Floats, Value
@@ -178,7 +178,7 @@ def realised_gain_ratio(samples: SurfaceSamples, request: BatchRequest, scanner:
     new = np.flatnonzero(seen.any(axis=1))
     new = new[request.space.is_near_measured(samples.points[new])]
     if before:
-        new = new[~find_measured(poses[:before], pick_samples(samples, new), scanner, casters)]
+        new = new[~find_measured(poses[:before], samples.pick(new), scanner, casters)]
     first = seen[new] & (np.cumsum(seen[new], axis=1) == 1)
     brought = [float(areas.sum()) for areas in np.split(samples.areas[new] @ first, np.cumsum(views)[:-1])]
     return gain_ratio([(expected, area) for (_, expected), area in zip(request.latest, brought, strict=True)])
@@ -200,6 +200,4 @@ def _resample(samples: SurfaceSamples, areas: Floats, most: int) -> SurfaceSampl
         until = np.cumsum(areas)
         rows, times = np.unique(np.searchsorted(until, until[-1] * (np.arange(most) + 0.5) / most), return_counts=True)
         areas[rows] = until[-1] / most * times
-    return SurfaceSamples(
-        samples.points[rows], samples.normals[rows], areas[rows], samples.face[rows], samples.planning_face[rows]
-    )
+    return replace(samples.pick(rows), areas=areas[rows])

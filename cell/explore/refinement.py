@@ -15,7 +15,7 @@ from planner.values import Bools, Floats, Ints
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import perturb_pose
-from planner.viewpoints.viewpoints import pick_viewpoints, viewpoints_from_poses
+from planner.viewpoints.viewpoints import viewpoints_from_poses
 
 _SCALES = (1.0, 0.5, 0.25)  # largest steps of the rounds, as shares of those of `perturb_pose`
 _POSES = 48  # alternatives of a view in a round
@@ -32,7 +32,7 @@ def with_refined_candidates(problem: SelectionProblem, views: Ints, append: Appe
     """
     if problem.request.plan.candidates != GROWN:
         return problem
-    known, candidates = problem.prediction, pick_viewpoints(problem.candidates, views)
+    known, candidates = problem.prediction, problem.candidates.pick(views)
     scouts, distance = known.samples, candidates.standoff
     arm = view_evaluator(problem.cell, known.scanner, known.casters)
     targets = RayTargets.of(scouts.points, scouts.normals)

@@ -40,13 +40,13 @@ from cell.session import Origin, Session, Stream
 from cell.world.measurability import PartSurface
 from planner.explore.gain import select_by_gain_per_second
 from planner.geometry.decimation import cluster_vertices, decimate
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.path.path import MAX_CHECKS
 from planner.ports import RayCaster
 from planner.tour.tour_search import DEFAULT_BUDGET
 from planner.values import Ints
 from planner.viewpoints import growth
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 N_DRAWN, MAX_ROWS, MAX_SCOUTS = 20_000, 3_000, 1_000
 """Drawn samples of the belief surface, largest number of rows of the matrix, and of scouts."""
@@ -124,7 +124,7 @@ def explain_uncovered(
             return None
         cell = pipeline.compile_cell(run.session, run.settled, basis.part, is_belief=True)
         candidates, casters = _find_candidates(run.session, run.settled, basis, cell)
-        left = pick_samples(basis.scouts, ~request.space.is_measured(basis.scouts.points, basis.scouts.normals))
+        left = basis.scouts.pick(~request.space.is_measured(basis.scouts.points, basis.scouts.normals))
         of = request.space.open_samples_at(left.points, left.normals)
         left = replace(left, areas=left.areas / request.record.weights(of))
         scanner = limited_scanner(run.settled.scene, run.settled.scanner)
@@ -217,7 +217,7 @@ def _sample_surface(session: PlanSession, settled: SettledScene, request: BatchR
         request = replace(request, gain_ratio=realised_gain_ratio(sample_sets[0], request, scanner, part.caster))
         viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
         if (viewpoints.face >= 0).all():
-            viewpoints = pick_viewpoints(viewpoints, np.isin(viewpoints.face, rows.planning_face))
+            viewpoints = viewpoints.pick(np.isin(viewpoints.face, rows.planning_face))
         return _Surface(replace(part, samples=rows), scouts, viewpoints, request)
 
 

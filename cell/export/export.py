@@ -11,7 +11,7 @@ from cell.export.names import MAX_NAME_LENGTH, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program, ProgramSettings, load_program, program_name
 from cell.files import atomic_write, file_errors
-from cell.runs.run import Run
+from cell.runs.run import open_finished
 from cell.runs.schema import JsonTable
 from cell.runs.setups import SetupsRun
 from cell.session import ProgressReporter
@@ -49,7 +49,7 @@ def export(run_folder: Path, options: ExportOptions, reporter: ProgressReporter 
     """
     program = load_program(run_folder, options.name, options, reporter)
     if options.kind == "ros":
-        files = ros.files(program.info.name, Run.open_finished(run_folder))
+        files = ros.files(program.info.name, open_finished(run_folder))
         return _write_programs(run_folder, [program], program.info.name, options, files)
     return _write_programs(run_folder, [program], program.info.name, options)
 

@@ -1,13 +1,12 @@
 """Validated options of `cell export`."""
 
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from cell.errors import UsageError
 from cell.runs.current_files import CurrentFiles
-from cell.scene.fields import SpeedShare
+from cell.scene.fields import OptionalPath, SpeedShare
 from cell.scene.options import Option
 
 Language = Literal["krl", "rapid", "urscript", "ls", "csv", "json", "ros"]
@@ -27,11 +26,9 @@ class ExportOptions(CurrentFiles):
             name="format",
         ),
     ] = None
-    out: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option("Folder for the files. Default: export/ in the run folder.", metavar="DIR"),
-    ] = None
+    out: Annotated[OptionalPath, Option("Folder for the files. Default: export/ in the run folder.", metavar="DIR")] = (
+        None
+    )
     name: Annotated[
         str | None,
         Option("Name of program and files, at most 24 characters. Default: the run folder's, if valid in the format."),

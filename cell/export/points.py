@@ -26,7 +26,7 @@ from cell.files import atomic_write, file_errors
 from cell.metrology import scan_files
 from cell.metrology.scan_files import PosedScan
 from cell.runs import ply
-from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, read_execution
+from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, open_finished, read_execution
 from cell.view.palette import SIGNED
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.rigid import inverse_rigid
@@ -54,7 +54,7 @@ def write_points(run_folder: Path, out: Path, execution: str = "latest") -> int:
     kind = out.suffix.lower()
     if kind not in SUFFIXES:
         raise UsageError(f"{out} is '{out.suffix}'; it must be one of: {', '.join(SUFFIXES)}")
-    run = Run.open_finished(run_folder)
+    run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     if kind in (".ply", ".stl", ".obj", ".glb"):
         count, write = _surface(recorded, kind)

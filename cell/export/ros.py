@@ -15,7 +15,7 @@ import numpy as np
 from cell.robot.model import mesh_of
 from cell.runs.folder import SCHEMA
 from cell.runs.run import Run
-from planner.geometry.rigid import inverse_rigid
+from planner.geometry.rigid import inverse_rigid, rigid_transform
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.values import Floats, Ints32
 
@@ -113,10 +113,9 @@ def _add_geom(
     link: ElementTree.Element, model: mujoco.MjModel, geom: int, folder: str, meshes: dict[str, bytes]
 ) -> None:
     """Add a shape of MuJoCo; a capsule is a cylinder with two spheres, a plane has no shape."""
-    T = np.eye(4)
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    T[:3, :3], T[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
+    T = rigid_transform(rotation.reshape(3, 3), model.geom_pos[geom])
     size, kinds = model.geom_size[geom], mujoco.mjtGeom
     match model.geom_type[geom]:
         case kinds.mjGEOM_BOX:

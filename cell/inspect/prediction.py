@@ -25,7 +25,7 @@ from cell.inspect.measured import (
 )
 from planner.fitting.shapes import Shape, ShapeKind
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats
@@ -113,11 +113,11 @@ def _predict_patch(
     own = TriangleMesh(association.reference.vertices, association.reference.faces[surface.triangles])
     samples = draw_samples(own, own, _DRAWN, rng)
     area = float(samples.areas[0])
-    samples = pick_samples(samples, association.off_edge(surface, samples.points))
+    samples = samples.pick(association.off_edge(surface, samples.points))
     size = float(np.sqrt(area * len(samples) / _NODES))
     frame = patch.shape or Shape(ShapeKind.PLANE, np.array(patch.point_mm) / 1000, np.array(patch.axis))
     cell, rows, _ = cells_of_points(samples.points, frame, size)
-    nodes = replace(pick_samples(samples, rows), areas=(area * np.bincount(cell)).astype(np.float64))
+    nodes = replace(samples.pick(rows), areas=(area * np.bincount(cell)).astype(np.float64))
     yields = [_yield(nodes, each, density) for each, density in zip(setups, densities, strict=True)]
     count, variance = (np.hstack(each) for each in zip(*yields, strict=True))
     weight = nodes.areas[:, None] * count

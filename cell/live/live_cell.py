@@ -36,7 +36,7 @@ from planner.kinematics.reach import Verdict
 from planner.measurability.matrix import Measurability, pick_measurability
 from planner.measurability.visibility import apply_occluders
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +195,7 @@ class LiveCell:
         """
         names = self._moving_names(world)
         pieces = [each for each in fixed_occluders(world) if moving is None or (each.name in names) == moving]
-        M, views = pick_measurability(M, which), pick_viewpoints(self.data.candidates, which)
+        M, views = pick_measurability(M, which), self.data.candidates.pick(which)
         if not pieces:
             return M
         return apply_occluders(M, views, self.scanner, make_caster(pieces), ray_caster=self.data.surface.caster)

@@ -9,6 +9,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from cell.errors import FileError, UsageError
+from cell.files import file_errors
 from cell.metrology import point_files, point_tables
 from cell.metrology.options import HandEyeOptions
 from cell.part.workpiece import UNITS
@@ -175,15 +176,11 @@ def _read_pose_next_to(scan: Path) -> Floats:
     """Read the pose in the JSON file next to a scan."""
     path = scan.with_suffix(".json")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        with file_errors(f"{path} cannot be read", "it must contain T_base_flange of the scan, or give --poses"):
+            content = json.loads(path.read_text(encoding="utf-8"))
         T = np.asarray(content["T_base_flange"], dtype=np.float64)
         T = readonly("T_base_flange", T[len(T) // 2] if T.ndim == 3 else T, (4, 4))
         kuka_abc_from_pose(T)  # raises if it is no rigid transform
-    except OSError as error:
-        raise FileError(
-            f"{path} cannot be read: {error.strerror or error}; it must contain T_base_flange of the scan, or give "
-            "--poses"
-        ) from error
     except (ValueError, KeyError, TypeError, PlannerError) as error:
         raise FileError(f"{path} must be a JSON object with T_base_flange, four rows of four numbers [m]") from error
     return T

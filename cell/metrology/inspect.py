@@ -172,7 +172,9 @@ def execution_points(
     noise = float(str(options.get("range_noise_mm") or 0.0)) / 1000
     if simulated:
         sigma = np.hypot(sigma if options.get("noise") == "model" else 0.0, np.full(len(points), noise))
-    pose = (0.0, 0.0) if options.get("register") else pose_error if simulated else run.plan_pose_sd
+    else:
+        pose_error = run.scene.plan.pose_sd_mm, run.scene.plan.pose_sd_deg
+    pose = (0.0, 0.0) if options.get("register") else pose_error
     return points_of_views(points, normals, sigma, views, run.T_object_scanner[:, :3, 3], pose)
 
 

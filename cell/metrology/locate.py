@@ -150,8 +150,8 @@ def locate(run: Run, options: LocateOptions, reporter: ProgressReporter) -> Loca
         source=measured.source,
         views=measured.views,
         T_base_object=T,
-        placement_mm=_triple(1000 * position),
-        placement_abc_deg=_triple(np.degrees(abc)),
+        placement_mm=(np.round(1000 * position, 9) + 0.0).tolist(),
+        placement_abc_deg=(np.round(np.degrees(abc), 9) + 0.0).tolist(),
         displacement_mm=1000 * float(np.linalg.norm(position - (planned @ scene.T_object_centre)[:3, 3])),
         rotation_deg=float(np.degrees(pose_difference(T, planned)[1])),
         points=len(fit.residuals) if fit.used == 1 else round(len(fit.residuals) / fit.used),
@@ -304,8 +304,8 @@ def _precision(fit: RigidFit, T_base_object: Floats, points: Floats) -> Precisio
     R = T_base_object[:3, :3]
     of_centre, of_turn = R @ fit.covariance[:3, :3] @ R.T, R @ fit.covariance[3:, 3:] @ R.T
     return Precision(
-        centre_mm=_triple(1000 * np.sqrt(np.diag(of_centre))),
-        rotation_deg=_triple(np.degrees(np.sqrt(np.diag(of_turn)))),
+        centre_mm=(np.round(1000 * np.sqrt(np.diag(of_centre)), 9) + 0.0).tolist(),
+        rotation_deg=(np.round(np.degrees(np.sqrt(np.diag(of_turn))), 9) + 0.0).tolist(),
         max_point_sd_mm=1000 * worst,
     )
 
@@ -333,8 +333,3 @@ def _check_motion(run: Run, T_base_object: Floats) -> MotionCheck:
         minimum_clearance_mm=1000 * float(clearances.distance[near]),
         between=clearances.between[near],
     )
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in np.round(values, 9) + 0.0)
-    return x, y, z

@@ -96,9 +96,8 @@ def read_rows(path: Path) -> list[point_tables.Row]:
         FileError: if it cannot be read.
     """
     try:
-        return point_tables.read_rows(files.read_bytes(path))[0]
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
+        with files.file_errors(f"{path} cannot be read"):
+            return point_tables.read_rows(files.read_bytes(path))[0]
     except point_tables.TableError as error:
         raise FileError(f"{path} {error}") from error
 

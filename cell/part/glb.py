@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cell.text import decode
 from planner.geometry.mesh import concatenate_meshes
+from planner.geometry.rigid import rigid_transform
 from planner.values import Floats, Ints
 
 Table = Mapping[str, Any]
@@ -242,7 +243,6 @@ def _transform(node: Table) -> Floats:
     """Return the transform (4, 4) of a node: its matrix by columns, or translation x rotation x scale (3.5.2)."""
     if "matrix" in node:
         return _numbers(node["matrix"], 16).reshape(4, 4).T
-    T = np.eye(4)
     x, y, z, w = _numbers(node.get("rotation", [0, 0, 0, 1]), 4)
     rotation = np.array(
         [
@@ -251,9 +251,8 @@ def _transform(node: Table) -> Floats:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-    T[:3, :3] = rotation * _numbers(node.get("scale", [1, 1, 1]), 3)
-    T[:3, 3] = _numbers(node.get("translation", [0, 0, 0]), 3)
-    return T
+    linear = rotation * _numbers(node.get("scale", [1, 1, 1]), 3)
+    return rigid_transform(linear, _numbers(node.get("translation", [0, 0, 0]), 3))
 
 
 def _primitive(

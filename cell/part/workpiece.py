@@ -19,6 +19,7 @@ from cell.part.cad import CadModel
 from cell.part.formats import STEP, own_units, units_problem
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.rigid import translation
 from planner.values import Floats, Value, freeze
 
 __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]
@@ -62,8 +63,7 @@ class Workpiece(Value):
     def __post_init__(self) -> None:
         vertices = self.reference.vertices[_used_vertices(self.reference.vertices, self.reference.faces)]
         bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-        T_object_centre = np.eye(4)
-        T_object_centre[:3, 3] = bounds.mean(axis=0)
+        T_object_centre = translation(bounds.mean(axis=0))
         object.__setattr__(self, "bounds", bounds)
         object.__setattr__(self, "centre", bounds.mean(axis=0))
         object.__setattr__(self, "T_object_centre", T_object_centre)

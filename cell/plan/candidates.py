@@ -33,16 +33,14 @@ from planner.kinematics import reach
 from planner.kinematics.reach import Reach, Verdict, join_reach
 from planner.measurability import coverage, visibility
 from planner.measurability.matrix import Measurability, join_measurability, spread_measurability
-from planner.ports import Kinematics, Progress, RayCaster, Scanner
+from planner.ports import Kinematics, Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats
 from planner.viewpoints import growth
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import (
     Viewpoints,
-    join_viewpoints,
     optimal_scanning_zone,
-    pick_viewpoints,
     view_sphere,
     viewpoints_from_poses,
 )
@@ -91,7 +89,7 @@ class CandidateSet:
 
     def joined(self, more: "CandidateSet") -> "CandidateSet":
         """Return these candidates followed by others; numbers stay."""
-        viewpoints = join_viewpoints([self.viewpoints, more.viewpoints])
+        viewpoints = Viewpoints.join([self.viewpoints, more.viewpoints])
         return CandidateSet(viewpoints, join_reach([self.reached, more.reached]))
 
 
@@ -153,7 +151,7 @@ def view_evaluator(cell: Cell, scanner: Scanner, casters: Sequence[RayCaster]) -
 
 
 def reach_viewpoints(
-    settled: SettledScene, cell: Cell, viewpoints: Viewpoints, progress: Progress | None = None
+    settled: SettledScene, cell: Cell, viewpoints: Viewpoints, progress: Progress = no_progress
 ) -> CandidateSet:
     """Solve the inverse kinematics of viewpoints, with a verdict each."""
     poses, world = scanners.sweep_columns(settled.scanner, viewpoints), cell.world
@@ -168,7 +166,7 @@ def grow_viewpoints(
     usable: Bools,
     scouts: SurfaceSamples,
     evaluator: ViewEvaluator,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
 ) -> Viewpoints:
     """Search viewpoints for scouts that no usable viewpoint measures.
@@ -199,7 +197,7 @@ def with_grown(
     candidates: CandidateSet,
     scouts: SurfaceSamples,
     casters: Sequence[RayCaster],
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
 ) -> CandidateSet:
     """Append grown viewpoints if the scene's generator grows them; numbers of the given candidates stay."""
@@ -237,7 +235,7 @@ def measure(
     """
     usable, total = np.flatnonzero(candidates.reached.reachable), len(candidates.viewpoints)
     M, scanner = fill_columns(
-        session, settled, surface, casters, pick_viewpoints(candidates.viewpoints, usable), progress,
+        session, settled, surface, casters, candidates.viewpoints.pick(usable), progress,
         may_be_empty=may_be_empty,
     )  # fmt: skip
     if ignored is not None:
@@ -255,7 +253,7 @@ def measure(
 
 def fill_columns(
     session: PlanSession, settled: SettledScene, surface: PartSurface, casters: Sequence[RayCaster],
-    viewpoints: Viewpoints, progress: Progress | None = None, *, may_be_empty: bool = False,
+    viewpoints: Viewpoints, progress: Progress = no_progress, *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
     """Fill M of viewpoints with occluders and limit on sigma applied; also return the scanner law with its limits."""
     scene, views = settled.scene, scanners.sweep_columns(settled.scanner, viewpoints)
@@ -292,7 +290,7 @@ def append_viewpoints(
     swept = scanners.sweep_columns(settled.scanner, more.viewpoints)
     return replace(
         measured,
-        candidates=join_viewpoints([measured.candidates, swept]),
+        candidates=Viewpoints.join([measured.candidates, swept]),
         reached=join_reach([measured.reached, more.reached]),
         M=M if ignored is None else without_rows(M, ignored),
         prediction=known.with_more(swept.T_object_scanner),

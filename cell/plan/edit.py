@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
 from cell.formatting import comma_list
+from cell.part.workpiece import Workpiece
 from cell.plan import files, pipeline
 from cell.plan.candidates import (
     Cell,
@@ -43,7 +44,7 @@ from planner.kinematics import reach
 from planner.kinematics.reach import Reach, join_reach
 from planner.ports import ARM_AXES
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints
 
 SAME_POSE = 1e-9
 """Largest difference of the entries of equal poses [m, and entries of rotations]."""
@@ -111,7 +112,7 @@ class _Numbering:
 
     @property
     def appended(self) -> Viewpoints:
-        return pick_viewpoints(self.all, np.arange(self._n_known, len(self.all)))
+        return self.all.pick(np.arange(self._n_known, len(self.all)))
 
     def number_of(self, T: Floats, face: int, standoff: float) -> int:
         """Return the candidate at a (4, 4) pose; append it if there is none."""
@@ -126,7 +127,7 @@ class _Numbering:
         one = Viewpoints(
             T[None, None], np.array([face], dtype=np.int32), np.array([standoff]), np.array([np.arctan2(y, x)])
         )
-        self.all = join_viewpoints([self.all, one])
+        self.all = Viewpoints.join([self.all, one])
         return len(self.all) - 1
 
 
@@ -143,7 +144,8 @@ def edit(session: Session[None], run: Run, changes: Edit, *, T_base_object: Floa
     session = replace(session, origin=replace(session.origin, scene_path=run.folder / "scene.toml"))
     opened = None
     try:
-        with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
+        part = Workpiece(run.scene.part.name, run.reference, run.scene.part.sha256)
+        with pipeline.open_run(session, scene, part) as opened:
             opened.conclude(_plan(opened.session, opened.settled, run, changes, is_moved=T_base_object is not None))
         return opened.path
     except (UsageError, UnreachableError):  # nothing in the folder explains more than the message

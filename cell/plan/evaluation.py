@@ -22,7 +22,6 @@ from planner.cover.overlap import OverlapGraph
 from planner.cover.robust import RobustCover, min_views_at_confidence
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import pick_samples
 from planner.measurability import coverage
 from planner.measurability.quality import LimitedScanner, best_sigma, best_spacing, best_values
 from planner.ports import ARM_AXES
@@ -433,7 +432,7 @@ def _reason(region: RegionTargets, uncoverable: Ints, share: float, problem: Sel
         return sentence
     sparse = np.flatnonzero(why.reason == Reason.TOO_SPARSE)
     poses = problem.candidates.T_object_scanner.reshape(-1, 1, 4, 4)[why.pose[sparse]]
-    law, rows = cast(LimitedScanner, scanner), pick_samples(samples, some[sparse])
+    law, rows = cast(LimitedScanner, scanner), samples.pick(some[sparse])
     spacing = 1000 * best_values([law.spacing], poses, rows, np.eye(len(sparse), dtype=np.bool_), law.scanner)[0]
     near, far = 1000 * np.quantile(why.distance[sparse], [0.1, 0.9])
     return (
@@ -474,7 +473,7 @@ def attainable_coverage(
     # A share that is estimated from n samples has a standard error of at most 1 / (2 sqrt(n)).
     count = max(_LEAST_SEARCHED, int(np.ceil((left / (2 * _ATTAINABLE_ERROR)) ** 2)))
     sample_rows = np.sort(rng.permutation(unknown_rows)[: min(count, problem.request.effort.searched_samples)])
-    searched = pick_samples(samples, sample_rows)
+    searched = samples.pick(sample_rows)
     probe = probe_attainable(
         RayTargets.of(searched.points, searched.normals, searched.region),
         view_evaluator(problem.cell, known.scanner, known.casters),

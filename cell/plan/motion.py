@@ -27,7 +27,7 @@ from planner.measurability.coverage import Coverage, coverage_of_views
 from planner.measurability.matrix import Measurability
 from planner.path.sweep_line import DEFAULT_SPEED
 from planner.path.sweeps import DrivableSweeps, SweepPath, SweepTraversal, TimedSweep, find_sweeps, sweep_traversals
-from planner.ports import ARM_AXES, Progress
+from planner.ports import ARM_AXES, Progress, no_progress
 from planner.timing.motion import TimedLine
 from planner.tour import tour
 from planner.tour.generalised_tsp import MANY_CLUSTERS
@@ -371,7 +371,7 @@ def connect_views(
     *,
     selection_rng: np.random.Generator,
     motion_rng: np.random.Generator,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> ConnectedPlan:
     """Plan a motion through selected views; select again without views that cannot be connected.
 
@@ -407,7 +407,7 @@ def _try_to_connect(
     rejected: Collection[int],
     before: tuple[int, ...],
     rng: np.random.Generator,
-    progress: Progress | None,
+    progress: Progress,
 ) -> _Connected | _Retry:
     """Plan the shorter of two motions: through the selected views, and through their alternatives.
 
@@ -477,7 +477,7 @@ def _plan_motion(
     before: tuple[int, ...],
     rng: np.random.Generator,
     budget: MotionBudget,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Tour:
     """Plan the motion through one candidate of each group."""
     problem, world = views.problem, views.problem.world

@@ -15,7 +15,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from cell import scanners
-from cell.errors import FileError, UnreachableError, UsageError
+from cell.errors import UnreachableError, UsageError
+from cell.files import file_errors
 from cell.inspect.artefacts import FEATURES
 from cell.part import workpiece
 from cell.part.planning_mesh import planning_mesh
@@ -203,10 +204,8 @@ def open_run(
 def _logged(path: Path) -> Iterator[None]:
     """Write the log of this process to a file as well."""
     root = logging.getLogger()
-    try:
+    with file_errors(f"{path} cannot be written", "choose a writable --out"):
         handler = logging.FileHandler(path, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}; choose a writable --out") from error
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     level = root.level
     root.addHandler(handler)
@@ -256,11 +255,6 @@ def copy_surface(session: PlanSession, settled: SettledScene, run: Run) -> PartS
         files.copy_meshes(session.folder, run)
         session.plots.part_ready(session.folder.path)
         return make_surface(settled.part.reference, run.planning_mesh, run.measurability.samples)
-
-
-def part_of_run(run: Run) -> Workpiece:
-    """Return the part of a finished run."""
-    return Workpiece(run.scene.part.name, run.reference, run.scene.part.sha256)
 
 
 def compile_cell(session: PlanSession, settled: SettledScene, surface: PartSurface, *, is_belief: bool = False) -> Cell:
@@ -352,7 +346,7 @@ def select_and_connect(
         fresh = session.rng(Stream.FRESH_SAMPLES)
         reason = "" if append is None else skip_reason(problem)
         is_searched = append is not None and not reason
-        start = select_with_row_generation(problem.unpriced(), surface, rng, fresh, is_short=is_searched)
+        start = select_with_row_generation(problem.with_costs(None), surface, rng, fresh, is_short=is_searched)
     choice, search = start, None
     if append is not None and is_searched:
         with _search_stage(session, len(start[1].cover.views)) as report:

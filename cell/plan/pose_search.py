@@ -18,7 +18,7 @@ from cell.plan.selection import Request, Search, Selection, SelectionProblem, co
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.interrupts import deferred_interrupt, raise_interrupt
 from planner.measurability.direction_table import DirectionTable
 from planner.measurability.matrix import Measurability
@@ -33,7 +33,6 @@ from planner.viewpoints.pose_search import (
     SearchPoses,
     SearchProgress,
     Shortfall,
-    join_poses,
     search_poses,
 )
 from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
@@ -172,14 +171,14 @@ def search_views(
         progress=lambda n_done, total, n_views: progress(n_done, total, len(fixed) + n_views),
     )  # fmt: skip
     # Views that hold the requirement on the fresh samples may miss the requested share of the held-out samples.
-    fewer = [views for views in result.found if len(views) < len(initial)]
-    while fewer and known.share_of_coverable(join_poses([fixed, fewer[-1]]).T_object_scanner[:, None]) < plan.coverage:
+    fewer = [SearchPoses.join([fixed, views]) for views in result.found if len(views) < len(initial)]
+    while fewer and known.share_of_coverable(fewer[-1].T_object_scanner[:, None]) < plan.coverage:
         fewer.pop()
-    n_views = len(fixed) + len(fewer[-1] if fewer else initial)
+    n_views = len(fewer[-1]) if fewer else len(fixed) + len(initial)
     numbers = PoseSearch(plan.effort, result.evaluated, n_views, len(fixed), result.is_interrupted)
     if not fewer:
         return problem, selection, numbers
-    more, moved = _appended(problem, selection, join_poses([fixed, fewer[-1]]), append)
+    more, moved = _appended(problem, selection, fewer[-1], append)
     # A selection among all candidates may need still fewer views.
     among_all = continue_selection(more, moved, selection_rng)
     if (among_all.targets > moved.targets).any() and not _is_better(among_all, moved, problem.request):
@@ -214,7 +213,7 @@ def _shortfall(
     goal = float(of_start.mean() / coverable.mean()) + max(0.0, least - float(selection.shares[0]))
 
     def shortfall(views: SearchPoses) -> float:
-        measured = memo.measured(join_poses([fixed, views]).T_object_scanner[:, None])
+        measured = memo.measured(SearchPoses.join([fixed, views]).T_object_scanner[:, None])
         missing = goal - float(measured.mean() / coverable.mean())
         share = float(measured.mean() / (coverable | measured).mean())
         return max(missing, requested + _SAMPLING_ERROR - share)
@@ -265,7 +264,7 @@ def draw_evaluated(
     samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
     ease = np.mean([_ease(M, usable, samples) for M, usable in matrices], axis=0)
     rows, share = _thinned(ease, max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
-    return pick_samples(samples, rows), 1.0 / share[rows]
+    return samples.pick(rows), 1.0 / share[rows]
 
 
 def make_table(samples: SurfaceSamples, known: Prediction) -> DirectionTable:

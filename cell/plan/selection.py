@@ -36,7 +36,7 @@ from planner.cover import Cover, CoverProblem, CoverStatus, Overlap
 from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.cover.overlap import OverlapGraph, overlap_graph
 from planner.cover.robust import RobustCover, robust_cover
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.kinematics.reach import Reach, add_configurations
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, append_rows, spread_measurability
@@ -52,7 +52,6 @@ from planner.ports import JointLimits, Progress, SigmaScanner
 from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget
 from planner.tour.view_times import least_move_times
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.viewpoints import pick_viewpoints
 
 DEMANDED = 0.6
 """Share of the coverable samples of features that the demanded number of views measures. Their mean number counts, and
@@ -364,12 +363,11 @@ class SelectionProblem(MeasuredSet):
     def priced(self) -> "SelectionProblem":
         """Return the problem with the least time of each candidate as its cost."""
         home = self.world.home if self.is_at_rest else None
-        costs = least_view_times(self.request.plan, self.reached, home, self.limits)
-        return replace(self, request=replace(self.request, costs=costs))
+        return self.with_costs(least_view_times(self.request.plan, self.reached, home, self.limits))
 
-    def unpriced(self) -> "SelectionProblem":
-        """Return the problem for the fewest views."""
-        return replace(self, request=replace(self.request, costs=None))
+    def with_costs(self, costs: Floats | None) -> "SelectionProblem":
+        """Return the problem with the cost of each view; None: the fewest views."""
+        return replace(self, request=replace(self.request, costs=costs))
 
 
 def least_view_times(plan: PlanSettings, reached: Reach, home: Floats | None, limits: JointLimits) -> Floats:
@@ -634,21 +632,21 @@ def _with_more_rows(
     """Return the problem with fresh samples as rows; None if the views leave no coverable sample of a fresh pool."""
     known, T = problem.prediction, problem.candidates.T_object_scanner
     pool = draw_samples(surface.reference, surface.planning, N_FRESH, fresh)
-    left = pick_samples(pool, ~find_measured(T[selection.cover.views], pool, known.scanner, known.casters))
-    left = pick_samples(left, find_measured(T[problem.usable()], left, known.scanner, known.casters))
+    left = pool.pick(~find_measured(T[selection.cover.views], pool, known.scanner, known.casters))
+    left = left.pick(find_measured(T[problem.usable()], left, known.scanner, known.casters))
     # All fresh samples of the planning faces that fail: the failing samples alone would overstate the failure.
     needed = np.isin(pool.planning_face, left.planning_face)
     rows = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _N_ADDED_ROWS)]
     if not len(rows):
         return None
-    added = measure_rows(problem, problem.reached.reachable, pick_samples(pool, rows))
+    added = measure_rows(problem, problem.reached.reachable, pool.pick(rows))
     return replace(problem, M=append_rows(problem.M, added, known.samples))
 
 
 def measure_rows(measured: MeasuredSet, usable: Bools, samples: SurfaceSamples) -> Measurability:
     """Return the matrix of further samples for (V,) usable candidates, with occluders and limit on sigma applied."""
     columns, total, known = np.flatnonzero(usable), len(measured.candidates), measured.prediction
-    candidates, scanner = pick_viewpoints(measured.candidates, columns), known.scanner
+    candidates, scanner = measured.candidates.pick(columns), known.scanner
     part, occluders = known.casters
     M = apply_occluders(
         fill_matrix(candidates, samples, scanner, part), candidates, scanner, occluders, ray_caster=part
@@ -715,7 +713,7 @@ def simulate_pose_errors(
     """
     every = prediction.samples
     rows = np.sort(rng.permutation(len(every))[:_N_SIMULATED_SAMPLES])
-    samples = pick_samples(every, rows)
+    samples = every.pick(rows)
     area = samples.areas / samples.areas.sum()
     error, n = pose_error(plan), len(T_object_poses)
 

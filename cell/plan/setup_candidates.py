@@ -50,7 +50,7 @@ from planner.values import Bools, Floats, Ints
 from planner.viewpoints import growth
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 _N_PROPOSED = 24  # set-up candidates if neither the scene nor the user gives any
 _TURNS_DEG = (0.0, 90.0, 180.0, 270.0)  # about the vertical, at which each stable pose is proposed
@@ -343,7 +343,7 @@ def _fixed_setup(session: PlanSession, surface: PartSurface, run: Run) -> FixedS
     cell, views = read_cell(run), run.plan.views
     ids = np.array([view.id for view in views])
     poses = np.stack([view.T_object_poses for view in views])
-    candidates = replace(pick_viewpoints(run.candidates, ids), T_object_scanner=poses)
+    candidates = replace(run.candidates.pick(ids), T_object_scanner=poses)
     samples = held_out_samples(surface.reference, surface.planning, session.seed, session.effort.held_out_samples)
     prediction = Prediction.of(samples, cell.scanner, cell.casters, poses)
     reached = pick_reach(run.reach, ids)

@@ -39,11 +39,11 @@ from planner.cover.curve import coverage_curve
 from planner.cover.grouped import GroupedCover, fewest_views, solve_grouped
 from planner.cover.overlap import OverlapGraph
 from planner.cover.robust import DEMAND, loads
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.matrix import Measurability, append_rows
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.pose_search import Place, SearchPoses, join_poses, search_poses
+from planner.viewpoints.pose_search import Place, SearchPoses, search_poses
 
 REFINED_MARGIN = 0.0005
 """Share of the coverable area beyond the requested coverage: plans without moved views have as much on average."""
@@ -415,7 +415,7 @@ class SetupSearch:
             return False
         fresh = draw_samples(self._surface.reference, self._surface.planning, selection.N_FRESH, self._fresh)
         seen = [self.setups[row].measures(T, fresh) for row, T in poses.items()]
-        left = pick_samples(fresh, ~np.logical_or.reduce(seen))
+        left = fresh.pick(~np.logical_or.reduce(seen))
         if not len(left):
             return False
         coverable = np.logical_or.reduce(
@@ -426,7 +426,7 @@ class SetupSearch:
         )
         if not coverable.any():
             return False
-        added = pick_samples(fresh, np.isin(fresh.planning_face, left.planning_face[coverable]))
+        added = fresh.pick(np.isin(fresh.planning_face, left.planning_face[coverable]))
         self._M = {
             row: append_rows(self._M[row], setup.rows_of(added), self._samples) for row, setup in self.setups.items()
         }
@@ -505,7 +505,7 @@ def search_setups(
         initial.append(np.searchsorted(usable, views[row]) + sum(map(len, pools)))
         pools.append(poses_of(measured.candidates, usable, place))
         places.append(Place(table, setups[row].are_reachable))
-    pool = join_poses(pools)
+    pool = SearchPoses.join(pools)
 
     def poses_in(poses: SearchPoses, place: int) -> Floats:
         return np.asarray(poses.T_object_scanner[poses.place == place][:, None])

@@ -24,7 +24,7 @@ from cell.plan.setup_search import ConnectedSetup, SetupSearch, SetupsRequest
 from cell.plan.shared_surface import shared_surfaces, unconnected_setups
 from cell.report.setups_report import page, status
 from cell.runs.cell import scene_of_run
-from cell.runs.run import Run
+from cell.runs.run import Run, open_finished
 from cell.runs.schema import (
     CandidateSetup,
     SelectedSetup,
@@ -42,7 +42,7 @@ from cell.session import Session, Stream
 from cell.world.measurability import PartSurface
 from planner.cover.grouped import GroupedCover
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools
 from planner.viewpoints.attainable import probe_attainable
 from planner.viewpoints.lines_of_sight import RayTargets
@@ -65,7 +65,7 @@ def plan_setups(session: Session[None], scene: Scene, *, options: SetupOptions, 
         UnreachableError: if no set-up candidate measures anything.
     """
     options.check(scene)
-    first = None if options.first is None else Run.open_finished(Path(options.first))
+    first = None if options.first is None else open_finished(Path(options.first))
     if options.proposals == 0 and not scene.setup:
         raise UsageError("there is no set-up candidate: give [[setup]] tables in the scene, or a larger --proposals")
     with pipeline.open_run(session, scene, part, with_plots=scene.plan.curve) as run:
@@ -232,7 +232,7 @@ def _setups_file(
 ) -> SetupsFile:  # fmt: skip
     selected_setups, seen = [], np.zeros_like(used[0][1])
     for number, (row, visible) in enumerate(used, start=1):
-        run = Run.open_finished(session.folder.path / "setups" / str(number))
+        run = open_finished(session.folder.path / "setups" / str(number))
         marginal = float((visible & ~seen).mean())
         seen = seen | visible
         selected_setups.append(
@@ -324,7 +324,7 @@ def uncovered_surface(
         if not isinstance(setup := setups[row], PlannedSetup):
             continue
         free = np.flatnonzero(~setup.contact[rows] & ~measured)
-        searched = pick_samples(samples, rows[free])
+        searched = samples.pick(rows[free])
         targets = RayTargets.of(searched.points, searched.normals, searched.region)
         probe = probe_attainable(targets, setup.evaluator(searched))
         measured[free] |= probe.measured

@@ -19,7 +19,7 @@ from cell.inspect.prediction import PlannedViews, main_source, predict_features,
 from cell.plan.selection import N_FRESH, Search, Selection, SelectionProblem, measure_rows, select_views
 from cell.world.measurability import PartSurface
 from planner.cover import CoverStatus
-from planner.geometry.sampling import draw_samples, pick_samples
+from planner.geometry.sampling import draw_samples
 from planner.measurability.matrix import append_rows
 from planner.values import Ints
 
@@ -190,5 +190,5 @@ def _with_rows(
     pool_rows = pool_rows[:: 1 + len(pool_rows) // _ROWS]
     if not len(pool_rows):
         return problem
-    rows = measure_rows(problem, problem.reached.reachable, pick_samples(pool, pool_rows))
+    rows = measure_rows(problem, problem.reached.reachable, pool.pick(pool_rows))
     return replace(problem, M=append_rows(problem.M, rows, problem.prediction.samples))

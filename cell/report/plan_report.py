@@ -29,17 +29,13 @@ def markdown(report: Report) -> str:
     """Return report.md; its pictures are files beside it."""
     part, coverage = report.part, report.coverage
     lines = [
-        f"# View plan of {html.escape(part.name)} ([view](view.html))",
-        "",
+        f"# View plan of {html.escape(part.name)} ([view](view.html))\n",
         f"{report.n_views} views measure {percent(coverage.visible)} of the surface, "
         f"{percent(coverage.visible_of_coverable)} of the coverable surface: reachable candidates can measure "
-        f"{percent(coverage.coverable)}. {_sentence(report.status)}",
-        "",
+        f"{percent(coverage.coverable)}. {_sentence(report.status)}\n",
         *(f"{_sentence(f'{name}: {text}')}\n" for name, text in _attainable_row(report)),
-        "![The cell, the arm at one of the views](cell.png)",
-        "",
-        "![The part by the number of views that measure it, and the views](views.png)",
-        "",
+        "![The cell, the arm at one of the views](cell.png)\n",
+        "![The part by the number of views that measure it, and the views](views.png)\n",
         *_facts(report),
         "",
     ]
@@ -58,23 +54,17 @@ def markdown(report: Report) -> str:
     if report.clearance and (tightest := tightest_moment(report.clearance)):
         lines += [f"Smallest clearance: {tightest}; the part is {_PART_MODEL[report.clearance.collision]}.", ""]
     lines += [
-        f"In task-space order (Christofides) the same views would take {report.motion.baseline_duration_s:.2f} s.",
-        "",
+        f"In task-space order (Christofides) the same views would take {report.motion.baseline_duration_s:.2f} s.\n",
         *_sweeps(report.settings),
-        "![Joint motion](motion.png)",
-        "",
-        "## Next steps",
-        "",
+        "![Joint motion](motion.png)\n",
+        "## Next steps\n",
         "`cell scan RUN` executes the plan, `cell why RUN` explains the uncovered surface, `cell view RUN` opens the "
-        "page of this folder.",
-        "",
-        "## Definitions",
-        "",
+        "page of this folder.\n",
+        "## Definitions\n",
         "Visible coverage is the share of 100,000 seeded samples of the reference surface, none of them seen by the "
         "optimiser, that at least one view measures: lines of sight of laser and sensor free of part, fixtures, post, "
         "pedestal and floor, in the field of view, in range, incidence limits kept. The lower bound holds for these "
-        "candidates and samples.",
-        "",
+        "candidates and samples.\n",
     ]
     return "\n".join(lines)
 
@@ -175,8 +165,7 @@ def _facts(report: Report) -> list[str]:
 def _views(report: Report) -> list[str]:
     axes = "A1 .. A6, E1" if any(view.e_deg for view in report.views) else "A1 .. A6"
     lines = [
-        "## Views in visiting order",
-        "",
+        "## Views in visiting order\n",
         f"| stop | candidate | marginal coverage % of surface | source in base x, y, z mm | {axes} deg | roll deg "
         "| clearance on the way mm |",
         "|---|---|---|---|---|---|---|",
@@ -221,8 +210,7 @@ def _sweeps(settings: ReportSettings) -> list[str]:
     return [
         f"Each view is a sweep of {settings.sweep_poses} poses, driven as a straight line at constant speed on one "
         f"joint branch, in {settings.sweep_s[0]:.1f} to {settings.sweep_s[1]:.1f} s. Singularities, joint limits and "
-        "collisions are checked between its poses as well; occlusion by the arm is not evaluated along it.",
-        "",
+        "collisions are checked between its poses as well; occlusion by the arm is not evaluated along it.\n",
     ]
 
 
@@ -332,16 +320,14 @@ def _robust_section(report: Report) -> list[str]:
         return []
     settings = report.settings
     return [
-        "## Coverage under pose errors",
-        "",
+        "## Coverage under pose errors\n",
         f"Executed poses are assumed to be off by {settings.pose_sd_mm:g} mm along and {settings.pose_sd_deg:g} deg "
         f"about each axis of the scanner (one standard deviation, normal, independent for every view). Probabilities "
         f"are from {robust.members} drawn errors, the same for every view; a view that measures a sample in all n of "
         f"them is credited with (n + 1/2) / (n + 1), so that a confidence of {percent(1 - robust.alpha)} needs at "
         f"least {robust.required_views} such {'view' if robust.required_views == 1 else 'views'} of a sample. On "
         f"average, the expected surface was measured in {percent(robust.mean_frequency)} of the "
-        f"{robust.executions} executions ({robust.samples:,} samples that the plan has not seen).",
-        "",
+        f"{robust.executions} executions ({robust.samples:,} samples that the plan has not seen).\n",
     ]
 
 
@@ -365,11 +351,9 @@ def _region_section(report: Report) -> list[str]:
         return []
     counted = sum(each.area_mm2 for each in report.regions) / report.part.area_mm2
     lines = [
-        "## Regions",
-        "",
+        "## Regions\n",
         f"Shares of the surface in this report refer to the {percent(counted)} of the part's surface that the regions "
-        "include.",
-        "",
+        "include.\n",
         "| region | mm² | requested of coverable | coverable | measured | of coverable | limits |",
         "|---|---|---|---|---|---|---|",
     ]

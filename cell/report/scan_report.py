@@ -232,14 +232,11 @@ def _surface(report: ExecutionReport) -> list[str]:
             f"area, within {EDGE_BAND * model.spacing_mm:.3g} mm of an edge of more than 30 deg."
         )
     return [
-        "## Surface",
-        "",
+        "## Surface\n",
         f"{model.faces:,} faces from points {model.spacing_mm:.3g} mm apart, on a grid of {model.grid_mm:.3g} mm; "
-        f"{_number(model.holes, 'open edge loop')}, {_number(model.outliers, 'outlier')} left out. {holes}",
-        "",
+        f"{_number(model.holes, 'open edge loop')}, {_number(model.outliers, 'outlier')} left out. {holes}\n",
         *_grid(("deviation from the reference", "mm"), rows),
-        "![Deviation of the surface](deviation.png)",
-        "",
+        "![Deviation of the surface](deviation.png)\n",
     ]
 
 
@@ -270,17 +267,14 @@ def _registration(report: ExecutionReport) -> list[str]:
     ]
     head = ("view", "determined error mm", "after", "determined error deg", "after", "undetermined mm", "deg", "result")
     return [
-        "## Registration",
-        "",
+        "## Registration\n",
         "The reported poses were corrected by registration of the scans to each other and to the reference "
         f"({_number(registration.overlapping_pairs, 'overlapping pair')}, "
-        f"{_number(registration.iterations, 'step')}).",
-        "",
+        f"{_number(registration.iterations, 'step')}).\n",
         *_grid(("", "as reported", "registered"), residuals),
         *_grid(head, errors),
         "Errors are those of the scan's points about their centre. Registration corrects motions that the surface "
-        "determines; along the others the reported pose stays, and the points lie on the surface all the same.",
-        "",
+        "determines; along the others the reported pose stays, and the points lie on the surface all the same.\n",
     ]
 
 

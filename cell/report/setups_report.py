@@ -103,8 +103,7 @@ def page(file: SetupsFile) -> str:
     lines += [f"| {name} | {value} |" for name, value in rows(file)]
     lines += [
         "",
-        "## Set-up candidates",
-        "",
+        "## Set-up candidates\n",
         "| | pose | x, y, z mm | A, B, C deg | reachable | coverable | in contact | |",
     ]
     lines += ["|---|---|---|---|---|---|---|---|"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.errors import SceneError, errors_as
-from cell.robot.model import AXES, FLANGE, dimensions, limits, load
+from cell.robot.model import AXES, FLANGE, dimensions, frame_of, limits, load
 from planner.errors import PlannerError
 from planner.geometry.rigid import inverse_rigid
 from planner.kinematics.closed_form import KukaKinematics
@@ -51,9 +51,7 @@ def chain_of(model: mujoco.MjModel) -> Chain:
     data.qpos[:] = 0.0  # a cell.xml opens at home
     mujoco.mj_kinematics(model, data)
     joints = [model.joint(axis).id for axis in AXES]
-    flange, T = data.site(FLANGE), np.eye(4)
-    T[:3, :3], T[:3, 3] = flange.xmat.reshape(3, 3), flange.xpos
-    return Chain(data.xaxis[joints].copy(), data.xanchor[joints].copy(), T)
+    return Chain(data.xaxis[joints].copy(), data.xanchor[joints].copy(), frame_of(data.site(FLANGE)))
 
 
 def wrist_positions(model: mujoco.MjModel, T_base: Floats, step: float) -> tuple[Floats, Floats]:

@@ -161,16 +161,14 @@ def _solid(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Float
     import mujoco
     import trimesh
 
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    T = robot.frame_of(data.geom(geom))
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         solid = trimesh.creation.box(2.0 * model.geom_size[geom], T)
     elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER:
         radius, half = model.geom_size[geom][:2]
         solid = trimesh.creation.cylinder(radius, 2.0 * half, transform=T, sections=64)
     else:
-        body = int(model.geom_bodyid[geom])
-        T[:3, :3], T[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+        T = robot.frame_of(data.body(int(model.geom_bodyid[geom])))
         solid = trimesh.convex.convex_hull(mesh_of(model, geom).vertices).apply_transform(T)
     return np.asarray(solid.vertices), float(solid.volume), float(solid.moment_inertia[2, 2]), solid.center_mass
 

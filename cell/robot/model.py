@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cell.errors import FileError, SceneError
 from cell.files import model_file
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.rigid import rigid_transform
 from planner.kinematics.closed_form import Dimensions
 from planner.ports import JointLimits
 from planner.values import Floats, Ints, Value
@@ -266,6 +267,11 @@ def reduced_clearances(model: mujoco.MjModel) -> dict[tuple[int, int], float]:
 def clearance_name(model: mujoco.MjModel, one: str, other: str) -> str:
     """Return the name of the numeric with the clearance [m] of two bodies that are always near each other."""
     return f"{CLEARANCE_PREFIX}{_number(model, one)}_{_number(model, other)}"
+
+
+def frame_of(element: Any) -> Floats:
+    """Return the pose (4, 4) [m] of a body, a shape or a site of a state (`MjData.body(...)`)."""
+    return rigid_transform(element.xmat.reshape(3, 3), element.xpos)
 
 
 def separation_name(model: mujoco.MjModel, one: str, other: str) -> str:

@@ -1,12 +1,11 @@
 """Options for the files that describe the cell now (`cell.runs.current_scene`); imported by `--help`."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from cell.scene.fields import Table
+from cell.scene.fields import OptionalPath, Table
 from cell.scene.options import Option
 
 _HELP_GROUP = "The cell as it is now"
@@ -20,9 +19,7 @@ class CurrentFiles(Table):
     """Files that describe the cell now, and the accepted differences."""
 
     scene: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option("Scene file of the current cell. Default: the planned one.", _HELP_GROUP, metavar="FILE"),
+        OptionalPath, Option("Scene file of the current cell. Default: the planned one.", _HELP_GROUP, metavar="FILE")
     ] = None
     part: Annotated[
         str | None, Option("Mesh file of the current part. Default: the planned one.", _HELP_GROUP, metavar="FILE")

@@ -14,6 +14,7 @@ from cell.runs.schema import ResolvedRobot, ResolvedTable, StandingFixture, Swee
 from cell.scene.model import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.model import World
 from cell.world.shapes import TABLE
+from planner.geometry.rigid import translation
 from planner.path.sweeps import SweepPath
 from planner.ports import ARM_AXES, JointLimits
 from planner.values import Floats
@@ -116,8 +117,7 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
     def standing(
         name: str, shape: Literal["box", "cylinder", "plane"], size_mm: list[float], middle_mm: list[float]
     ) -> StandingFixture:
-        T = np.eye(4)
-        T[:3, 3] = np.array(middle_mm) / 1000
+        T = translation(np.array(middle_mm) / 1000)
         if name in ("post", TABLE) and world.table is not None:
             T[:3, :3] = world.table.T_base_table[:3, :3]
         return StandingFixture(

@@ -204,14 +204,10 @@ class Run(ArtefactFolder):
         return self.manifest.exit_code or 0
 
     @property
-    def is_in_setups_folder(self) -> bool:
-        """Whether the run is a subfolder of a folder of `cell setups`."""
-        return (self.folder.absolute().parent.parent / "setups.json").is_file()
-
-    @property
     def is_setup_of_group(self) -> bool:
         """Whether the run is one of several set-ups with a common cover, or an edited copy of one."""
-        return bool(self.report.common_cover) or self.is_in_setups_folder  # older reports do not have the key
+        setups = self.folder.absolute().parent.parent / "setups.json"
+        return bool(self.report.common_cover) or setups.is_file()  # older reports do not have the key
 
     @property
     def is_single_setup(self) -> bool:
@@ -342,11 +338,6 @@ class Run(ArtefactFolder):
             raise FileError(f"{self.folder / 'cell.xml'} is damaged: MuJoCo cannot compile it; plan again") from error
 
     @property
-    def plan_pose_sd(self) -> tuple[float, float]:
-        """Standard deviations of executed poses that the plan assumes [mm, deg]."""
-        return self.scene.plan.pose_sd_mm, self.scene.plan.pose_sd_deg
-
-    @property
     def coverage(self) -> Coverage:
         """The coverage of the views; `visible` and `coverable` are fractions of the surface."""
         return self.plan.coverage
@@ -405,42 +396,6 @@ class Run(ArtefactFolder):
         if not root.is_dir():
             return []
         return sorted((path.name for path in root.iterdir() if path.is_dir() and path.name.isdecimal()), key=int)
-
-    @classmethod
-    def open(cls, folder: Path) -> Self:
-        """Open a run folder by its manifest, finished or not."""
-        if not folder.is_dir():
-            raise FileError(_missing_folder(folder))
-        path = folder / "manifest.json"
-        if not path.is_file():
-            raise FileError(
-                f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made"
-            )
-        if (folder / "setups.json").is_file():
-            runs = ", ".join(str(path) for path in sorted((folder / "setups").iterdir()))
-            raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
-        manifest = read_manifest(path)
-        schema = manifest.schema_version
-        if schema not in (SCHEMA, *FORMER_SCHEMAS):
-            if schema is not None and schema.startswith("scan-cell/run/"):
-                raise FileError(
-                    f"{folder} has the schema {schema}, and this version of scan-cell reads "
-                    f"{', '.join(FORMER_SCHEMAS)} and {SCHEMA}; plan again, or use the version that its "
-                    f"manifest.json names"
-                )
-            raise FileError(
-                f"{folder} is not a run folder: its manifest.json does not have the schema {SCHEMA}; give the folder "
-                "that cell plan made"
-            )
-        return cls(folder, manifest)
-
-    @classmethod
-    def open_finished(cls, folder: Path) -> Self:
-        """Open the run folder of a finished plan."""
-        run = cls.open(folder)
-        if not run.is_finished:
-            raise FileError(f"{folder} has no finished plan: the run {run.ending}; plan again")
-        return run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -593,13 +548,37 @@ class RecordedExecution:
 
 
 def open_run(folder: Path) -> Run:
-    """Open a run folder, finished or not."""
-    return Run.open(folder)
+    """Open a run folder by its manifest, finished or not."""
+    if not folder.is_dir():
+        raise FileError(_missing_folder(folder))
+    path = folder / "manifest.json"
+    if not path.is_file():
+        raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
+    if (folder / "setups.json").is_file():
+        runs = ", ".join(str(path) for path in sorted((folder / "setups").iterdir()))
+        raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
+    manifest = read_manifest(path)
+    schema = manifest.schema_version
+    if schema not in (SCHEMA, *FORMER_SCHEMAS):
+        if schema is not None and schema.startswith("scan-cell/run/"):
+            raise FileError(
+                f"{folder} has the schema {schema}, and this version of scan-cell reads "
+                f"{', '.join(FORMER_SCHEMAS)} and {SCHEMA}; plan again, or use the version that its "
+                f"manifest.json names"
+            )
+        raise FileError(
+            f"{folder} is not a run folder: its manifest.json does not have the schema {SCHEMA}; give the folder "
+            "that cell plan made"
+        )
+    return Run(folder, manifest)
 
 
 def open_finished(folder: Path) -> Run:
     """Open the run folder of a finished plan."""
-    return Run.open_finished(folder)
+    run = open_run(folder)
+    if not run.is_finished:
+        raise FileError(f"{folder} has no finished plan: the run {run.ending}; plan again")
+    return run
 
 
 def read_execution(run: Run, execution: str) -> RecordedExecution:

@@ -8,10 +8,10 @@ one. The file survives the process, not a crash of the machine: it is not synchr
 import contextlib
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.kvp import KukaController, KvpStation
 from drivers.emulated.rsi import UDP_FAULTS, RsiController
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
-from drivers.emulated.stations import ModbusStation, SerialStation, Station
+from drivers.emulated.stations import ModbusStation, SerialStation
 from drivers.emulated.ur import UrController, UrServer
 from drivers.errors import DriverError
 from drivers.limits import Limits
@@ -72,20 +72,15 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         DriverFailureError: if the line is not available, or the controller cannot start.
         FileError: if a file cannot be read or written.
     """
-    if protocol == "ur":
-        _emulate_ur(options, arm, announce)
-        return
+    _require_usable(protocol, options, arm)
     try:
         faults = parse_faults(options.faults)
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
+    for name in (*faults.random, *(each.name for each in faults.scheduled)) if protocol == "rsi" else ():
+        if name not in UDP_FAULTS:
+            raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
     injector = Injector(faults, np.random.default_rng(options.seed)) if options.faults else None
-    if protocol == "kvp":
-        _emulate_kvp(options, arm, injector, announce)
-        return
-    if protocol == "rsi":
-        _emulate_rsi(options, arm, injector, announce)
-        return
     memory = Memory(options.state, options.log)
     home = arm.home.copy()
     if options.start_deg is not None:
@@ -95,109 +90,74 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
             f"{options.state} is the state of an arm with {len(memory.axes)} axes, and this one has {len(home)}; "
             "choose another --state, or remove it to start at --start"
         )
-    wire_clock = RealTimeClock()
-    with errors_as(DriverFailureError, DriverError):
-        axes = from_rad(home) if memory.axes is None else memory.axes
-        endpoint = Endpoint(
-            arm.plant(to_rad(axes)),
-            arm.limits,
-            RealTimeClock(options.time_scale),
-            wire_clock,
-            memory,
-            boot=memory.boot % 65535 + 1,
-            restarted=not memory.ended_in_order,
-            time_scale=options.time_scale,
-        )
-        line, url = _open_line(protocol, options)
-    server = Server(_station(protocol, options, endpoint), line, wire_clock, injector, options.time_scale)
-    try:
-        announce(url)
-        server.serve(lambda: options.seconds is not None and wire_clock.now() >= options.seconds)
-    except KeyboardInterrupt:
-        pass  # the usual end
-    finally:
-        line.close()
-        if not (state := endpoint.tick()).at_rest:
-            endpoint.controller.latch(Fault.RESTARTED)
-            while not (state := endpoint.tick()).at_rest:
-                wire_clock.wait(0.005)
-        memory.close(state)
+    clock, q = RealTimeClock(), to_rad(from_rad(home) if memory.axes is None else memory.axes)
+    served: UrServer | RsiController | Line
+    with contextlib.ExitStack() as stack:
+        with errors_as(DriverFailureError, DriverError):
+            match protocol:
+                case "ur":
+                    served = UrServer(UrController(q, clock), options.port, max(options.port - UR_SCRIPT_OFFSET, 0))
+                    url, serve = served.url, served.serve
+                case "rsi":
+                    served = RsiController(q, clock, options.port, options.cycle_ms, injector)
+                    url, serve = served.url, served.serve
+                case "kvp":
+                    controller, served = KukaController(q, arm.limits, clock, memory), TcpLine(options.port)
+                    url, serve = f"kvp://{served.name}", Server(KvpStation(controller), served, clock, injector).serve
+                case _:
+                    endpoint = Endpoint(
+                        arm.plant(q),
+                        arm.limits,
+                        RealTimeClock(options.time_scale),
+                        clock,
+                        memory,
+                        boot=memory.boot % 65535 + 1,
+                        restarted=not memory.ended_in_order,
+                        time_scale=options.time_scale,
+                    )
+                    served, url = _open_line(protocol, options)
+                    rtu = protocol == "modbus-rtu"
+                    modbus = ModbusStation(endpoint, unit=options.unit, rtu=rtu)
+                    station = SerialStation(endpoint) if protocol == "serial" else modbus
+                    serve = Server(station, served, clock, injector, options.time_scale).serve
+                    stack.callback(_end, endpoint, memory, clock)
+        stack.enter_context(contextlib.closing(served))
+        with contextlib.suppress(KeyboardInterrupt):  # the usual end
+            announce(url)
+            serve(lambda: options.seconds is not None and clock.now() >= options.seconds)
 
 
-def _emulate_kvp(options: EmulateOptions, arm: Arm, injector: Injector | None, announce: Callable[[str], None]) -> None:
-    """Serve a KUKA controller with the variables of its KRL program until Ctrl-C."""
-    _refuse_options("kvp", options, ("link", "baud", "unit", "plant", "state", "time_scale"))
-    home = arm.home if options.start_deg is None else np.append(np.radians(options.start_deg), arm.home[AXES:])
-    clock, memory = RealTimeClock(), Memory(None, options.log)
-    controller = KukaController(to_rad(from_rad(home)), arm.limits, clock, memory)
-    with errors_as(DriverFailureError, DriverError):
-        line = TcpLine(options.port)
-    with _until_stopped(line, options, clock) as is_over:
-        announce(f"kvp://{line.name}")
-        Server(KvpStation(controller), line, clock, injector).serve(is_over)
+def _end(endpoint: Endpoint, memory: "Memory", clock: Clock) -> None:
+    """Brake the arm and store its position."""
+    if not (state := endpoint.tick()).at_rest:
+        endpoint.controller.latch(Fault.RESTARTED)
+        while not (state := endpoint.tick()).at_rest:
+            clock.wait(0.005)
+    memory.close(state)
 
 
-def _emulate_rsi(options: EmulateOptions, arm: Arm, injector: Injector | None, announce: Callable[[str], None]) -> None:
-    """Send the telegrams of a KUKA controller with RSI until Ctrl-C."""
-    _refuse_options("rsi", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale"))
-    _require_arm_only("rsi", arm)
-    _require_cycle(options.cycle_ms)
-    faults = () if injector is None else (*injector.faults.random, *(each.name for each in injector.faults.scheduled))
-    for name in faults:
-        if name not in UDP_FAULTS:
-            raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
-    home = arm.home if options.start_deg is None else np.radians(options.start_deg)
-    clock = RealTimeClock()
-    with errors_as(DriverFailureError, DriverError):
-        controller = RsiController(to_rad(from_rad(home)), clock, options.port, options.cycle_ms, injector)
-    with _until_stopped(controller, options, clock) as is_over:
-        announce(controller.url)
-        controller.serve(is_over)
+_REFUSED = {
+    "kvp": ("link", "baud", "unit", "plant", "state", "time_scale"),
+    "rsi": ("link", "baud", "unit", "plant", "state", "time_scale", "log"),
+    "ur": ("link", "baud", "unit", "plant", "state", "time_scale", "log", "faults"),
+}
+"""Options that a protocol does not have."""
 
 
-class _Closable(Protocol):
-    """A line or a controller that is served."""
-
-    def close(self) -> None:
-        """Release its port."""
-
-
-@contextlib.contextmanager
-def _until_stopped(served: _Closable, options: EmulateOptions, clock: Clock) -> Iterator[Callable[[], bool]]:
-    """Yield whether the time of the options is over; Ctrl-C is the usual end of the block, which then closes."""
-    with contextlib.closing(served), contextlib.suppress(KeyboardInterrupt):
-        yield lambda: options.seconds is not None and clock.now() >= options.seconds
+def _require_usable(protocol: str, options: EmulateOptions, arm: Arm) -> None:
+    default = EmulateOptions()
+    for name in _REFUSED.get(protocol, ()):
+        if getattr(options, name) != getattr(default, name):
+            raise UsageError(f"cell emulate {protocol} has no --{name.replace('_', '-')}; omit it")
+    if protocol in ("rsi", "ur") and len(arm.home) != AXES:
+        raise UsageError(f"cell emulate {protocol} turns no rotary table; choose another --run")
+    if protocol == "rsi":
+        _require_cycle(options.cycle_ms)
 
 
 def _require_cycle(cycle_ms: int) -> None:
     if cycle_ms not in (4, 12):
         raise UsageError(f"--cycle-ms is {cycle_ms}; it must be 4 or 12")
-
-
-def _require_arm_only(protocol: str, arm: Arm) -> None:
-    if len(arm.home) != AXES:
-        raise UsageError(f"cell emulate {protocol} turns no rotary table; choose another --run")
-
-
-def _refuse_options(protocol: str, options: EmulateOptions, names: tuple[str, ...]) -> None:
-    default = EmulateOptions()
-    for name in names:
-        if getattr(options, name) != getattr(default, name):
-            raise UsageError(f"cell emulate {protocol} has no --{name.replace('_', '-')}; omit it")
-
-
-def _emulate_ur(options: EmulateOptions, arm: Arm, announce: Callable[[str], None]) -> None:
-    """Serve a controller of Universal Robots until Ctrl-C."""
-    _refuse_options("ur", options, ("link", "baud", "unit", "plant", "state", "log", "time_scale", "faults"))
-    _require_arm_only("ur", arm)
-    home = arm.home if options.start_deg is None else np.radians(options.start_deg)
-    clock = RealTimeClock()
-    with errors_as(DriverFailureError, DriverError):
-        controller = UrController(to_rad(from_rad(home)), clock)
-        server = UrServer(controller, options.port, max(options.port - UR_SCRIPT_OFFSET, 0))
-    with _until_stopped(server, options, clock) as is_over:
-        announce(server.url)
-        server.serve(is_over)
 
 
 def load_arm(run_folder: Path | None, plant: str) -> Arm:
@@ -259,12 +219,6 @@ def _open_line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:
     if protocol == "serial":
         return pty, f"serial://{pty.name}?baud={options.baud}"
     return pty, f"modbus+rtu://{pty.name}?baud={options.baud}&unit={options.unit}"
-
-
-def _station(protocol: str, options: EmulateOptions, endpoint: Endpoint) -> Station:
-    if protocol == "serial":
-        return SerialStation(endpoint)
-    return ModbusStation(endpoint, unit=options.unit, rtu=protocol == "modbus-rtu")
 
 
 class Memory:

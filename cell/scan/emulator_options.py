@@ -1,11 +1,10 @@
 """Options of `cell emulate`, checked."""
 
-from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
-from cell.scene.fields import Table
+from cell.scene.fields import OptionalPath, Table
 from cell.scene.options import Option
 
 _LINE, _FAULTS = "The line", "Faults"
@@ -17,18 +16,14 @@ class EmulateOptions(Table):
     port: Annotated[
         int, Field(ge=0, le=65535), Option("TCP port on 127.0.0.1; 0 selects a free one.", _LINE, metavar="N")
     ] = 0
-    link: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option("Symbolic link to make for the pseudo-terminal.", _LINE, metavar="PATH"),
-    ] = None
+    link: Annotated[OptionalPath, Option("Symbolic link to make for the pseudo-terminal.", _LINE, metavar="PATH")] = (
+        None
+    )
     baud: Annotated[int, Option("Baud rate of the pseudo-terminal.", _LINE)] = 115200
     cycle_ms: Annotated[int, Field(ge=4, le=12), Option("rsi: time between telegrams, 4 or 12 ms.", _LINE)] = 4
     unit: Annotated[int, Field(ge=1, le=247), Option("Modbus device address.", _LINE)] = 1
     run: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option("Run folder with arm, tool and home. Default: the built-in arm.", metavar="RUN"),
+        OptionalPath, Option("Run folder with arm, tool and home. Default: the built-in arm.", metavar="RUN")
     ] = None
     plant: Annotated[str, Option("Plant that the controller moves.", metavar="ideal|mujoco")] = "ideal"
     start_deg: Annotated[
@@ -42,12 +37,8 @@ class EmulateOptions(Table):
             counts=(6,),
         ),
     ] = None
-    state: Annotated[
-        Path | None, Field(strict=False), Option("Stores the arm's position across restarts.", metavar="FILE")
-    ] = None
-    log: Annotated[
-        Path | None, Field(strict=False), Option("Appends each executed move, JSON lines.", metavar="FILE")
-    ] = None
+    state: Annotated[OptionalPath, Option("Stores the arm's position across restarts.", metavar="FILE")] = None
+    log: Annotated[OptionalPath, Option("Appends each executed move, JSON lines.", metavar="FILE")] = None
     time_scale: Annotated[
         float, Field(ge=1e-3, le=1e6), Option("Seconds of the arm per real second. Watchdogs stay in real time.")
     ] = 1.0

@@ -36,7 +36,7 @@ from drivers.registry import Context, open_driver
 from drivers.setpoints import PER_DEGREE, SetPoints, format_axes, from_rad, to_deg, to_rad
 from drivers.sim import SimDriver
 from drivers.simulated_controller import PlantFactory
-from planner.ports import Progress
+from planner.ports import Progress, no_progress
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
 
@@ -240,7 +240,7 @@ def drive(
     *,
     speed: float,
     clock: Clock,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> float:
     """Drive the segments, scan and record.
 
@@ -297,8 +297,7 @@ def drive(
                     else:
                         file = f"scans/{name}"
                         record("scan", number=segment.stop, view=segment.view, file=file, points=points, **details)
-            if progress:
-                progress(number, len(plan.segments))
+            progress(number, len(plan.segments))
     except BaseException as error:
         with suppress(FileError):  # a full disk must not hide the cause
             if signals.is_interruption(error):

@@ -11,7 +11,7 @@ from pydantic import Field, JsonValue, ValidationError, field_validator, model_v
 from cell.errors import UsageError
 from cell.runs.current_files import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
-from cell.scene.fields import NotNegative, Positive, SpeedShare, Units
+from cell.scene.fields import NotNegative, OptionalPath, Positive, SpeedShare, Units
 from cell.scene.options import Option
 from cell.scene.validation import error_messages
 from planner.errors import PlannerError
@@ -79,8 +79,7 @@ class ScanOptions(CurrentFiles):
     )
     close_holes: Annotated[bool, Option("Close the holes of the surface; the added faces are marked.")] = False
     actual: Annotated[
-        Path | None,
-        Field(strict=False),
+        OptionalPath,
         Option(
             "Mesh file of the part as it is built, in the frame of the nominal part: simulated rays hit it, and the "
             "nominal part remains the reference. Default: the nominal part.",
@@ -141,8 +140,7 @@ class ScanOptions(CurrentFiles):
     ] = None
 
     states: Annotated[
-        Path | None,
-        Field(strict=False),
+        OptionalPath,
         Option("File to which each state of the controller is appended as a JSON line.", REAL_ROBOT, metavar="FILE"),
     ] = None
 

@@ -134,39 +134,28 @@ def resume_run(
     true_part: TriangleMesh | None = None,
 ) -> Outcome:
     """Resume an execution, locked against other processes; see `resume` and `execute_run`."""
-    with safety.exclusive(safety.execution_path(folder, execution)):
-        return _resume(session, finalise, folder, execution, options or ScanOptions(), true_part)
-
-
-def _resume(
-    session: Session[None],
-    finalise: Finalise[Outcome],
-    folder: Path,
-    execution: str,
-    user_options: ScanOptions,
-    true_part: TriangleMesh | None,
-) -> Outcome:
-    verified = verify_plan(folder)
-    run, motion = verified.run, verified.motion
-    recorded = read_execution(run, execution)
-    scans, unusable = usable_scans(recorded, verified.plan.views)
-    options = resumable_options(run, recorded).resumed(user_options)
-    require_current_scene(verified, options, session.reporter, wire=options.uses_wire)
-    cell = _cell(run, options, true_part)
-    seed = recorded.manifest.require_seed(recorded.folder)
-    plan, scanned_stops = plan_execution(motion, options.view), {scan.stop for scan in scans}
-    if recorded.manifest.status == "finished" and scanned_stops >= set(plan.stops):
-        raise UsageError(f"execution {recorded.folder.name} is finished and complete; there is nothing to resume")
-    for sentence in unusable:
-        session.note(sentence)
-    if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
-        session.note(warning)
-    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
-    if options.states is not None:
-        record_states(driver, clock, options.states, run.joint_names())
-    if options.is_simulated:
-        safety.require_room(cell, plan, run.folder)
     with ExitStack() as stack:
+        stack.enter_context(safety.exclusive(safety.execution_path(folder, execution)))
+        verified = verify_plan(folder)
+        run, motion = verified.run, verified.motion
+        recorded = read_execution(run, execution)
+        scans, unusable = usable_scans(recorded, verified.plan.views)
+        options = resumable_options(run, recorded).resumed(options or ScanOptions())
+        require_current_scene(verified, options, session.reporter, wire=options.uses_wire)
+        cell = _cell(run, options, true_part)
+        seed = recorded.manifest.require_seed(recorded.folder)
+        plan, scanned_stops = plan_execution(motion, options.view), {scan.stop for scan in scans}
+        if recorded.manifest.status == "finished" and scanned_stops >= set(plan.stops):
+            raise UsageError(f"execution {recorded.folder.name} is finished and complete; there is nothing to resume")
+        for sentence in unusable:
+            session.note(sentence)
+        if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
+            session.note(warning)
+        driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note, run.proven_clearance)
+        if options.states is not None:
+            record_states(driver, clock, options.states, run.joint_names())
+        if options.is_simulated:
+            safety.require_room(cell, plan, run.folder)
         stack.enter_context(signals.stop_on_signal())
         with driver_errors():
             stack.enter_context(driver)

@@ -30,7 +30,7 @@ from cell.scan.options import ScanOptions
 from cell.session import Stream, random_stream
 from cell.world import virtual_scan
 from cell.world.virtual_scan import Scan
-from planner.geometry.rigid import rotation_matrices, rotation_vectors
+from planner.geometry.rigid import rigid_transform, rotation_matrices, rotation_vectors
 from planner.ports import Rejection
 from planner.registration.rigid import motion_from_vector, transform_points
 from planner.values import Floats
@@ -85,10 +85,8 @@ class Disturbance:
         """Return the true pose (4, 4) for a reported pose; the same object without a pose error."""
         if not self.moves_pose:
             return T_reported
-        T_error = np.eye(4)
-        T_error[:3, 3] = self.position * rng.standard_normal(3)
-        T_error[:3, :3] = rotation_from_vector(self.rotation * rng.standard_normal(3))
-        T: Floats = T_reported @ T_error
+        position, rotation = (sd * rng.standard_normal(3) for sd in (self.position, self.rotation))
+        T: Floats = T_reported @ rigid_transform(rotation_from_vector(rotation), position)
         return T if self.part is None else np.linalg.inv(self.part) @ T
 
     def reported_points(

@@ -26,6 +26,7 @@ Grazing = Annotated[float, Field(ge=0, le=90)]
 Four = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Triple = Annotated[tuple[float, float, float], Field(strict=False)]
 Units = Literal["mm", "cm", "m", "um", "in"]
+OptionalPath = Annotated[Path | None, Field(strict=False)]
 
 
 LARGEST_LENGTH_MM = 1e6

@@ -171,4 +171,4 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
                     f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} has no model of "
                     f"its {quantity}; omit the limit, or choose another scanner"
                 )
-    return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, region_limits)
+    return cast(Scanner, LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, region_limits))

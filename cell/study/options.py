@@ -3,13 +3,12 @@
 import math
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
 from cell.errors import UsageError
-from cell.scene.fields import Table
+from cell.scene.fields import OptionalPath, Table
 from cell.scene.options import Option
 
 _MAX_VALUES = 1000
@@ -59,13 +58,9 @@ class StudyRun(Table):
         ),
     ] = None
     cluster_security: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option("TOML file with ca_file, cert_file and key_file of a tls:// scheduler.", metavar="FILE"),
+        OptionalPath, Option("TOML file with ca_file, cert_file and key_file of a tls:// scheduler.", metavar="FILE")
     ] = None
-    out: Annotated[
-        Path | None, Field(strict=False), Option("Folder of the study. Default: sim_runs/study-<name>.", metavar="DIR")
-    ] = None
+    out: Annotated[OptionalPath, Option("Folder of the study. Default: sim_runs/study-<name>.", metavar="DIR")] = None
 
     @property
     def count(self) -> int:

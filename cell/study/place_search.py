@@ -47,9 +47,10 @@ from cell.study.planned_placement import (
 )
 from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, StudyResult, write_folder
-from cell.study.trials import JsonTable, OnOutcome, Outcome, Trial, Workers, run_trials, start_trials
+from cell.study.trials import JsonTable, OnOutcome, Trial, Workers, run_trials, start_trials
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
+from planner.ports import no_progress
 from planner.values import Floats, Ints
 
 COARSE_PLACES, COARSE_CANDIDATES = 256, 200
@@ -106,7 +107,7 @@ class PlaceSearchResult:
     n_places: int
 
 
-def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progress | None = None) -> PlaceSearchResult:
+def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progress = no_progress) -> PlaceSearchResult:
     """Search the best placement.
 
     Args:
@@ -124,7 +125,7 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
 class _PlaceSearch:
     """State of a search: the range, and the placements that were evaluated in each round."""
 
-    def __init__(self, scene: Scene, where: PlaceRange, workers: Workers, progress: Progress | None) -> None:
+    def __init__(self, scene: Scene, where: PlaceRange, workers: Workers, progress: Progress) -> None:
         self._scene, self._where, self._workers, self._progress = scene, where, workers, progress
         self._low, self._high = map(np.array, where.ends)
         self._free = np.flatnonzero(self._high > self._low)
@@ -230,12 +231,7 @@ class _PlaceSearch:
 
     def _report(self, name: str) -> OnOutcome:
         """Return the function that reports the progress of a round."""
-
-        def on_outcome(n_done: int, total: int, outcome: Outcome) -> None:
-            if self._progress is not None:
-                self._progress(name, n_done, total)
-
-        return on_outcome
+        return lambda n_done, total, _: self._progress(name, n_done, total)
 
 
 def _place(row: Row) -> Place:
@@ -260,7 +256,7 @@ def _planned_first(rows: Sequence[Row], planned: Mapping[Place, PlannedPlacement
 
 
 def place_study(
-    scene: Scene, where: PlaceRange, workers: Workers, folder: Path, progress: Progress | None, plan: Sequence[object]
+    scene: Scene, where: PlaceRange, workers: Workers, folder: Path, progress: Progress, plan: Sequence[object]
 ) -> StudyResult:
     """Search the best placement and write the folder of the study.
 

@@ -28,7 +28,7 @@ from planner.values import Bools
 from planner.viewpoints import growth
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, viewpoints_from_poses
+from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 
 COVERAGE_ONLY, WITH_VIEWS = "coverage", "whole"
 
@@ -70,9 +70,9 @@ def evaluate_placement(settings: JsonTable) -> dict[str, object]:
     if settings["what"] == COVERAGE_ONLY or not is_measured.any():
         return values
     which = np.flatnonzero(usable)
-    views, M = pick_viewpoints(candidates, which), pick_measurability(M, which)
+    views, M = candidates.pick(which), pick_measurability(M, which)
     if grown is not None:
-        views = join_viewpoints([views, grown])
+        views = Viewpoints.join([views, grown])
         M = join_measurability([M, fill_matrix(grown, samples, scanner, bench.caster)])
     M = apply_occluders(M, views, scanner, casters[1], ray_caster=bench.caster)
     reached = reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, cell.kinematics, cell.checker)

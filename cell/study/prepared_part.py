@@ -10,10 +10,10 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cell import scanners
 from cell.errors import FileError
+from cell.files import file_errors
 from cell.part import workpiece
 from cell.part.planning_mesh import planning_mesh
 from cell.part.workpiece import Workpiece
@@ -41,7 +41,7 @@ from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, pick_measurability
 from planner.ports import Scanner
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +137,7 @@ class Bench:
             rng = random_stream(self.scene.plan.seed, Stream.CANDIDATE_SUBSET)
             which = np.sort(rng.permutation(len(self.candidates))[:count])
             M = pick_measurability(self.matrix("aimed", self.candidates), which)
-            self._subsets[count] = pick_viewpoints(self.candidates, which), M
+            self._subsets[count] = self.candidates.pick(which), M
         return self._subsets[count]
 
     def select(
@@ -177,11 +177,8 @@ class Bench:
         uncovered = np.arange(len(self.samples))
         for T in T_object_scanner[:, 0]:
             points = virtual_scan.scan(self.scanner, T, self.caster, reference).points
-            if len(points) and len(uncovered):
-                tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-                bound = np.nextafter(radius, np.inf)  # the bound of the tree excludes the radius itself
-                distance, _ = tree.query(self.samples.points[uncovered], distance_upper_bound=bound)
-                uncovered = uncovered[distance > radius]
+            left = self.samples.pick(uncovered)
+            uncovered = uncovered[~coverage.sampled_coverage(points, left, radius).covered]
         areas = self.samples.areas
         return 1.0 - float(areas[uncovered].sum() / areas.sum())
 
@@ -225,7 +222,5 @@ def _bench(settings: str) -> Bench:
 
 
 def _sha256(path: str) -> str:
-    try:
+    with file_errors(f"{path} cannot be read"):
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error

@@ -20,7 +20,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from cell.errors import FileError
-from cell.files import atomic_write
+from cell.files import atomic_write, file_errors
 from cell.formatting import Summary
 from cell.scene.file import load_scene, option_names, option_tables
 from cell.scene.model import Scene
@@ -214,7 +214,7 @@ def write_folder(
         FileError: if they cannot be written.
     """
     folder = result.folder
-    try:
+    with file_errors(f"{folder} cannot be written", "choose another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder / "rows.csv", _csv(result.rows))
         _write(folder / "seconds.csv", _csv(seconds))
@@ -224,8 +224,6 @@ def write_folder(
         _write(folder / "study.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
         _write(folder / "report.md", _report(title, result, files))
         _write(folder / PAGE_FILE, study_page(folder))
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 
 
 def _columns(rows: Sequence[Mapping[str, object]]) -> list[str]:

@@ -28,8 +28,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Self
 
-from cell.errors import CellError, FileError, UsageError
-from cell.files import atomic_write, cache_folder
+from cell.errors import CellError, UsageError
+from cell.files import atomic_write, cache_folder, file_errors
 from planner.errors import PlannerError
 
 JsonTable = Mapping[str, Any]
@@ -166,14 +166,9 @@ def save(outcome: Outcome, folder: Path) -> None:
         "failure": outcome.failure,
         "seconds": dict(outcome.seconds),
     }
-    try:
-        with atomic_write(_path(outcome.trial, folder)) as temporary:
-            temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-    except OSError as error:
-        raise FileError(
-            f"the result of a trial cannot be written to {folder}: {error.strerror or error}; free disk space, or set "
-            "XDG_CACHE_HOME to a writable folder"
-        ) from error
+    failure, cure = f"the result of a trial cannot be written to {folder}", "free disk space, or set XDG_CACHE_HOME to"
+    with file_errors(failure, f"{cure} a writable folder"), atomic_write(_path(outcome.trial, folder)) as temporary:
+        temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
 
 
 def _path(trial: Trial, folder: Path) -> Path:

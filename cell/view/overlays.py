@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cell.robot.model import frame_of
 from cell.view.replay_model import GLYPH_SHARE, ReplayModel
 from planner.values import Floats
 
@@ -122,18 +123,11 @@ def add_clouds(
     scene: mujoco.MjvScene, replay_model: ReplayModel, scans: Sequence[int], newest: int | None, data: mujoco.MjData
 ) -> None:
     """Draw the points of the given scans at the part's pose in `data`; the newest scan is brighter."""
-    part, T = data.body("object"), np.eye(4)
-    T[:3, :3], T[:3, 3] = part.xmat.reshape(3, 3), part.xpos
+    T = frame_of(data.body("object"))
     for scan in scans:
         mesh = replay_model.cloud_meshes[scan]
         if mesh >= 0:
             add_mesh(scene, replay_model.model, mesh, T, NEWEST if scan == newest else EARLIER)
-
-
-def add_violations(scene: mujoco.MjvScene, violations: Sequence[ClearanceViolation]) -> None:
-    """Draw a red ball at each clearance violation."""
-    for violation in violations:
-        add_ball(scene, np.array(violation.position), 0.02, CONTACT)
 
 
 def find_violations(replay_model: ReplayModel, data: mujoco.MjData) -> tuple[ClearanceViolation, ...]:

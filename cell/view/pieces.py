@@ -22,6 +22,7 @@ from cell.world.model import World
 from cell.world.occluders import geom_triangles, occluders_of_model
 from cell.world.shapes import quaternion
 from planner.geometry.mesh import TriangleMesh, without_unused
+from planner.geometry.rigid import rigid_transform
 from planner.ports import ARM_AXES
 from planner.values import Bools, Floats, Ints, Value
 
@@ -196,7 +197,7 @@ def _cell_geometry(
     names = robot.bodies(model)  # the base of the robot is fixed: its shapes are in the cell's frame
     link_poses = np.tile(np.eye(4), (len(names), 1, 1))
     for number, name in enumerate(names[1:], 1):
-        link_poses[number, :3, :3], link_poses[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
+        link_poses[number] = robot.frame_of(data.body(name))
     pieces, table = [], 0 if T_base_table is None else len(names)
     turned = {model.body(name).id for name in ("object", "post")}
     T_part_link_base: Floats = np.linalg.inv(np.eye(4) if T_base_table is None else T_base_table).astype(np.float64)
@@ -216,9 +217,8 @@ def _cell_geometry(
         material = material_of(model.geom(geom).name, is_robot=body in names)
         name = "robot" if body in names else "scanner"
         pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(material)))
-    flange = np.eye(4)
-    flange[:3, :3], flange[:3, 3] = data.site(FLANGE).xmat.reshape(3, 3), data.site(FLANGE).xpos
-    arm = _arm_chain(model, data, np.linalg.inv(link_poses[6]) @ flange @ T_flange_scanner)
+    T_base_flange = robot.frame_of(data.site(FLANGE))
+    arm = _arm_chain(model, data, np.linalg.inv(link_poses[6]) @ T_base_flange @ T_flange_scanner)
     if T_base_table is not None:
         arm = _with_table(arm, T_base_table)
     return CellGeometry(tuple(pieces), arm, np.asarray(T_base_object), frustum, table, T_part_link_base)
@@ -262,10 +262,8 @@ def _relative(model: mujoco.MjModel, body: str) -> Floats:
     """Return the (4, 4) pose of a body in its parent [m]."""
     from scipy.spatial.transform import Rotation
 
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(model.body(body).quat, scalar_first=True).as_matrix()
-    T[:3, 3] = model.body(body).pos
-    return T
+    rotation = Rotation.from_quat(model.body(body).quat, scalar_first=True)
+    return rigid_transform(rotation.as_matrix(), model.body(body).pos)
 
 
 def _rgb(material: Material) -> Floats:

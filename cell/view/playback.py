@@ -103,7 +103,8 @@ class Playback:
             overlays.add_frustum(scene, self.replay_model, self.T_base_scanner[row])
         elif self.timeline.stops:
             overlays.add_glyph(scene, self.replay_model, self._scanner_now())
-        overlays.add_violations(scene, violations)
+        for violation in violations:
+            overlays.add_ball(scene, np.array(violation.position), 0.02, overlays.CONTACT)
         if self.tightest is not None and self.tightest.is_shown_at(t):
             add_tightest(scene, self.tightest)
 
@@ -140,10 +141,7 @@ class Playback:
         self._table_poses.set_configuration(self.data, q)
 
     def _scanner_now(self) -> Floats:
-        T = np.eye(4)
-        T[:3, :3] = self.data.site_xmat[self._flange].reshape(3, 3)
-        T[:3, 3] = self.data.site_xpos[self._flange]
-        T_base_scanner: Floats = T @ self.replay_model.T_flange_scanner
+        T_base_scanner: Floats = robot.frame_of(self.data.site(self._flange)) @ self.replay_model.T_flange_scanner
         return T_base_scanner
 
 

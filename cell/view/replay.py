@@ -58,14 +58,11 @@ def replay(
     if options.picture is not None:
         with reporter.stage("draw the picture"):
             moment = start if options.view is not None or options.tightest else None
-            write_picture(inputs, options.picture, options.size, moment, options.camera_deg, options.hide)
+            write_picture(inputs, options.picture, options, moment)
         results.append(f"picture in {options.picture}")
     if options.frames is not None:
         with reporter.stage("draw the frames") as progress:
-            count = write_frames(
-                inputs, options.frames, options.size, start=start, fps=options.fps, speed=options.rate,
-                progress=progress,
-            )  # fmt: skip
+            count = write_frames(inputs, options.frames, options, start, progress)
         results.append(f"{count} frames in {options.frames}")
     if not is_drawn:
         half = float(np.tan(np.radians(playback.replay_model.model.vis.global_.fovy) / 2))

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from cell.scene.fields import Table
+from cell.scene.fields import OptionalPath, Table
 from cell.scene.options import Option
 
 _Elevation = Annotated[float, Field(ge=-89, le=89)]
@@ -30,14 +30,10 @@ class ReplayOptions(Table):
     web: Annotated[
         bool, Option("Show the run in a browser of this machine (MuJoCo Studio); needs no display for the viewer.")
     ] = False
-    frames: Annotated[
-        Path | None, Field(strict=False), Option("Draw PNG frames into a folder; needs no display.", metavar="DIR")
-    ] = None
+    frames: Annotated[OptionalPath, Option("Draw PNG frames into a folder; needs no display.", metavar="DIR")] = None
     fps: Annotated[float, Field(gt=0, le=240), Option("Frames for each second of film.")] = 25.0
     picture: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option("Draw one picture of the whole tour; needs no display.", metavar="FILE.png"),
+        OptionalPath, Option("Draw one picture of the whole tour; needs no display.", metavar="FILE.png")
     ] = None
     camera_deg: Annotated[
         tuple[Annotated[float, Field(ge=-360, le=360)], _Elevation] | None,

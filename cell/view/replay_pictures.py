@@ -17,6 +17,7 @@ from cell.view.palette import GREEN, VERMILION
 from cell.view.pieces import CellGeometry, Piece
 from cell.view.playback import Playback
 from cell.view.replay_model import point_marks
+from cell.view.replay_options import ReplayOptions
 from cell.view.tightest_moment import TightestMoment, closeup_camera
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
@@ -44,23 +45,14 @@ class PictureInputs:
     clouds: Sequence[Floats]
 
 
-def write_picture(
-    inputs: PictureInputs,
-    path: Path,
-    size: tuple[int, int],
-    t: float | None = None,
-    camera_deg: tuple[float, float] | None = None,
-    hide: Collection[str] = (),
-) -> None:
+def write_picture(inputs: PictureInputs, path: Path, options: ReplayOptions, t: float | None = None) -> None:
     """Draw one moment, with the tightest pair if the arm is there; at another pose its points would be in mid-air.
 
     Args:
         inputs: contents of the picture.
         path: PNG file to write.
-        size: (width, height) [pixels].
+        options: size, camera and hidden pieces.
         t: the moment [s]; None takes the view at which arm and part are side by side.
-        camera_deg: azimuth and elevation of the camera as seen from the part; None fits a camera.
-        hide: names of pieces to hide.
 
     Raises:
         UsageError: if a name is unknown.
@@ -70,33 +62,22 @@ def write_picture(
     best = best_view(inputs.cell, inputs.part, playback.T_base_scanner)
     moment = t if t is not None else timeline.stops[best].begin if best >= 0 else 0.0
     tightest = playback.tightest if playback.tightest is not None and moment == playback.tightest.time else None
-    camera: rays.Camera | tuple[float, float] | None = camera_deg
-    if tightest is not None and camera_deg is None:
+    camera: rays.Camera | tuple[float, float] | None = options.camera_deg
+    if tightest is not None and camera is None:
         playback.pose(moment)
-        camera = closeup_camera(playback.replay_model.model, playback.data, tightest, size)
+        camera = closeup_camera(playback.replay_model.model, playback.data, tightest, options.size)
     points = _points(inputs, moment, len(inputs.clouds), None)
-    rays.save_png(_draw(inputs, moment, size, camera, points, tightest, hide)[0], path)
+    rays.save_png(_draw(inputs, moment, options.size, camera, points, tightest, options.hide)[0], path)
 
 
-def write_frames(
-    inputs: PictureInputs,
-    folder: Path,
-    size: tuple[int, int],
-    *,
-    start: float = 0.0,
-    fps: float = 25.0,
-    speed: float = 1.0,
-    progress: Progress | None = None,
-) -> int:
+def write_frames(inputs: PictureInputs, folder: Path, options: ReplayOptions, start: float, progress: Progress) -> int:
     """Draw the playback as `frame_00001.png`, ... into a folder; the last frame shows its end.
 
     Args:
         inputs: contents of the pictures.
         folder: is created; must hold no frames.
-        size: (width, height) [pixels].
+        options: size, frames per second of film and rate of the replay.
         start: first moment [s].
-        fps: frames per second of film.
-        speed: seconds of the playback per second of film.
         progress: is called with the number of frames drawn and their total.
 
     Returns:
@@ -111,23 +92,22 @@ def write_frames(
     playback, timeline = inputs.playback, inputs.playback.timeline
     poses = [timeline.at(t) for t in (0.0, *(stop.begin for stop in timeline.stops), timeline.duration)]
     sources = np.concatenate([playback.path, playback.T_base_candidate[:, :3, 3]])
-    camera = tour_camera(inputs.cell, inputs.part, poses, sources, size)
-    times = frame_times(timeline.duration, start, fps, speed)
+    camera = tour_camera(inputs.cell, inputs.part, poses, sources, options.size)
+    times = frame_times(timeline.duration, start, options.fps, options.rate)
     for number, t in enumerate(times, start=1):
         playback.pose(t)
         violations, stop = playback.violations(), timeline.stop_at(t)
         newest = None if stop is None else timeline.stops.index(stop)
         points = _points(inputs, t, timeline.reached(t), newest)
         tightest = playback.tightest if playback.tightest is not None and playback.tightest.is_shown_at(t) else None
-        image, depth = _draw(inputs, t, size, camera, points, tightest)
+        image, depth = _draw(inputs, t, options.size, camera, points, tightest)
         positions = np.array([violation.position for violation in violations]).reshape(-1, 3)
         rays.draw_dots(image, depth.camera.project(positions)[:, :2], VERMILION, 6.0)
         ImageDraw.Draw(image).text(
             (8, 4), playback.caption(t, violations), "#111111", rays.font(_CAPTION), stroke_width=2, stroke_fill="white"
         )
         rays.save_png(image, folder / f"frame_{number:05d}.png")
-        if progress is not None:
-            progress(number, len(times))
+        progress(number, len(times))
     return len(times)
 
 

@@ -94,7 +94,7 @@ def colour_limits(values: Iterable[float], column: str) -> tuple[float, float]:
     """Return the limits of a colour scale: the range of the values, at least their accuracy."""
     known = list(values)
     low, high = min(known), max(known)
-    more = max(ACCURACY.get(column.split(" ")[-1], 0.0) - (high - low), 0.0) / 2
+    more = max(ACCURACY.get(column.rsplit(" ", maxsplit=1)[-1], 0.0) - (high - low), 0.0) / 2
     return low - more, high + more
 
 

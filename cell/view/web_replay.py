@@ -92,9 +92,6 @@ def _confined(token: str) -> Iterator[Callable[[], int]]:
     bind, serve, banner = web_server.bind_public_socket, web_server.serve, web_viewer._print_url_banner
     ports: queue.SimpleQueue[int] = queue.SimpleQueue()  # the viewer serves in a thread of its own
 
-    def bind_loopback(host: str, port: int = 0) -> Any:
-        return bind(loopback.HOST, port)
-
     async def serve_checked(handler: Any, *, process_request: Any, **keywords: Any) -> Any:
         port = keywords["sock"].getsockname()[1]
 
@@ -111,7 +108,8 @@ def _confined(token: str) -> Iterator[Callable[[], int]]:
         ports.put(port)
         return server
 
-    web_server.bind_public_socket, web_server.serve = bind_loopback, serve_checked
+    web_server.bind_public_socket = lambda host, port=0: bind(loopback.HOST, port)
+    web_server.serve = serve_checked
     web_viewer._print_url_banner = lambda host, port: None  # it names the address of all interfaces
     try:
         yield lambda: ports.get(timeout=_PATIENCE_S)

@@ -21,7 +21,7 @@ from cell.why.changes import ROTATIONS, format_placement, moved_world, rotated_w
 from cell.world.model import World
 from cell.world.occluders import fixed_occluders, make_caster
 from cell.world.prediction import held_out_samples
-from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.visibility import find_measured
 from planner.values import Floats, Ints
 from planner.viewpoints.attainable import probe_attainable
@@ -100,7 +100,7 @@ def _share(samples: SurfaceSamples, rows: Ints, arm: ViewEvaluator | None) -> tu
     """Return the share of the rows measured by any pose, and its standard error; 0 if home is in collision."""
     if arm is None or not len(rows):
         return 0.0, 0.0
-    targets = pick_samples(samples, rows)
+    targets = samples.pick(rows)
     share = float(probe_attainable(RayTargets.of(targets.points, targets.normals, targets.region), arm).measured.mean())
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
 

@@ -26,7 +26,7 @@ from planner.measurability.quality import LimitedScanner
 from planner.ports import Scanner
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import what_if
 from planner.why.what_if import ChangeKind, PlanChange
 
@@ -84,7 +84,7 @@ class Changes:
         rolls_deg = np.unique((np.degrees(view.roll) % 360).round(6))
         few = len(rolls_deg) <= 4
         is_first_roll = np.isclose(np.degrees(view.roll) % 360, rolls_deg[0])
-        base = pick_viewpoints(view, np.flatnonzero(is_first_roll)) if few else view
+        base = view.pick(np.flatnonzero(is_first_roll)) if few else view
         apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
         standoff_list = ",".join(f"{roll:g}" for roll in rolls_deg)
         yield [
@@ -102,7 +102,7 @@ class Changes:
         standoffs = np.unique((view.standoff * 1000).round(6))
         few = len(standoffs) <= 4
         now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
-        base = pick_viewpoints(view, np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
+        base = view.pick(np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
         standoff_list = ",".join(f"{standoff:g}" for standoff in standoffs)
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [

@@ -496,8 +496,9 @@ def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
         part.mkdir()
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
         (part / "why.ply").write_bytes(samples_ply(analysis))
-        draw_causes(part / "why.png", analysis)
         reasons = [(group.rows, group.title) for group in analysis.groups]
+        title = f"Uncovered surface of {analysis.part_name}"
+        pictures.draw_reasons(part / "why.png", analysis.canvas, reasons, title)
         (part / run_pages.PAGE_FILE).write_text(
             run_pages.why_page(run, analysis.canvas, analysis.surface, reasons), encoding="utf-8"
         )
@@ -607,9 +608,3 @@ def samples_ply(analysis: Analysis) -> bytes:
     legend = [f"group {code}: {group.title}" for code, group in enumerate(analysis.groups, 1)]
     element = ply.point_rows(analysis.samples.points, more)
     return b"".join(ply.file_pieces(["object frame, millimetres", *legend], {"vertex": element}))
-
-
-def draw_causes(path: Path, analysis: Analysis) -> None:
-    """Draw the part from the sides with the most uncovered surface, coloured by cause."""
-    groups = [(group.rows, group.title) for group in analysis.groups]
-    pictures.draw_reasons(path, analysis.canvas, groups, f"Uncovered surface of {analysis.part_name}")

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from planner.ports import Progress
+from planner.ports import Progress, no_progress
 from planner.values import Floats, Value
 
 TOLERANCE = 2e-4
@@ -76,7 +76,7 @@ def motion_clearance(
     via: Floats,
     segment: NDArray[np.integer],
     segments: int,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     share: float = SHARE,
 ) -> MotionClearance:
     """Measure the clearance of a motion.
@@ -107,8 +107,7 @@ def motion_clearance(
             between[number] = checker.pair_name(search.pair)
             if nearest is None or search.best < nearest[0]:
                 nearest = (search.best, number, search.q)
-        if progress is not None:
-            progress(number + 1, count)
+        progress(number + 1, count)
     tightest = None if nearest is None else tightest_at(checker, nearest[2], nearest[1])
     return MotionClearance(distance, lower_bound, tuple(between), tightest, checks)
 

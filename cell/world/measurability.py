@@ -26,12 +26,12 @@ from cell.scene.settle import Settings
 from cell.session import ProgressReporter
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, draw_samples, join_samples, samples_at_face_centres
+from planner.geometry.sampling import SurfaceSamples, draw_samples, samples_at_face_centres
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
 from planner.measurability.visibility import fill_matrix
-from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
-from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
+from planner.ports import Progress, RayCaster, Scanner, SigmaScanner, no_progress
+from planner.viewpoints.viewpoints import Viewpoints
 
 FORMAT = 2
 """Version of file and computation: incremented with every change of M for equal inputs."""
@@ -219,7 +219,7 @@ def surface_samples(
         return draw_samples(reference, planning, count, rng)
     areas = np.bincount(region[region >= 0], weights=reference.areas[region >= 0])
     each = np.maximum(np.rint(count * areas / reference.areas.sum()), MIN_REGION_SAMPLES).astype(np.int64)
-    return join_samples(
+    return SurfaceSamples.join(
         [
             draw_samples(replace(reference, region=np.where(region == k, region, -1)), planning, int(each[k]), rng)
             for k in np.flatnonzero(areas > 0)
@@ -235,7 +235,7 @@ def part_matrix(
     *,
     reporter: ProgressReporter | None = None,
     use_cache: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Measurability:
     """Compute M for the part alone, or read it from the cache; only missing columns are computed.
 
@@ -284,7 +284,7 @@ def part_matrix(
     missing = np.flatnonzero(columns < 0)
     if not len(missing):
         return _pick_columns(cached.measurability, columns)
-    M = join_measurability([cached.measurability, compute(pick_viewpoints(candidates, missing))])
+    M = join_measurability([cached.measurability, compute(candidates.pick(missing))])
     columns[missing] = cached.measurability.n_viewpoints + np.arange(len(missing))
     picked = _pick_columns(M, columns)
     if M.n_viewpoints > _MAX_COLUMN_RATIO * len(candidates):

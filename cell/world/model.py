@@ -28,6 +28,7 @@ from cell.world.shapes import ShapeDistances, meshes_of
 from cell.world.table import TableCollision, height_above_face, kinematics_on_table, place_table
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.rigid import translation
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES, JointLimits, Kinematics
 from planner.values import Floats, Value, readonly
@@ -218,8 +219,7 @@ def compile_world(
     scene, baseline_mm = _settled(scene, vertices, baseline_mm)
     hull = cell_shapes.collision_hull(vertices, "part")
     part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}
-    T_object_centre = np.eye(4)
-    T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    T_object_centre = translation((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     scene = scene.model_copy(update={"placement": scene.placement.by_centre(T_object_centre)})
     T_flange_scanner = scene.mount.T
     T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline_mm)
@@ -317,8 +317,7 @@ def _add_surroundings(
         cell_shapes.add_table(spec, scene, table)
     if scene.post.enabled:
         length = cell_shapes.POST_LENGTH if table is None else height_above_face(table, T_base_object, hull)
-        middle = np.eye(4)
-        middle[2, 3] = -length / 2
+        middle = translation([0, 0, -length / 2])
         cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, length, middle)
     names = {geom.name for geom in spec.geoms}
     for i, fixture in enumerate(scene.fixtures):

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from cell.session import Stream, default_effort, random_stream
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.visibility import VisibilityMemo, find_measured
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats
 
 
@@ -56,7 +56,7 @@ class Prediction:
         scanner: Scanner,
         casters: Sequence[RayCaster],
         T_object_scanner: Floats,
-        progress: Progress | None = None,
+        progress: Progress = no_progress,
     ) -> "Prediction":
         """Compute the coverage by the reachable candidates (n, K, 4, 4) [m]."""
         # Neighbours measure similar samples. An order by the golden ratio puts views far apart one after the other, so
@@ -90,7 +90,7 @@ class Prediction:
 
     def seen(self, T_object_scanner: Floats, among: Bools | None = None) -> NDArray[np.bool_]:
         """Return which samples each of the views (n, K, 4, 4) [m] measures, as (S, n); `among` selects samples."""
-        samples = self.samples if among is None else pick_samples(self.samples, among)
+        samples = self.samples if among is None else self.samples.pick(among)
         return find_measured(T_object_scanner, samples, self.scanner, self.casters, each=True)
 
     def coverable_with(self, visible: Coverage) -> float:

@@ -41,6 +41,7 @@ from cell.files import atomic_write, cache_folder
 from cell.robot import model as robot
 from cell.robot.model import AXES, MimicJoints, mesh_of
 from cell.world.shapes import ShapeDistances, enclosing_points, meshes_of
+from cell.world.travel import farthest
 from planner.geometry.hull import is_convex
 from planner.values import Floats
 
@@ -142,8 +143,8 @@ def axes_between(model: mujoco.MjModel, one: int, other: int) -> tuple[list[int]
     if not joints:
         return [], np.zeros((1, 0))
     anchors, lines = data.xanchor[joints], data.xaxis[joints]
-    by_other = _farthest(anchors, lines, _points(model, data, other))
-    by_one = _farthest(anchors[::-1], lines[::-1], _points(model, data, one))[::-1]
+    by_other = farthest(anchors, lines, _points(model, data, other))
+    by_one = farthest(anchors[::-1], lines[::-1], _points(model, data, one))[::-1]
     mimic_joints, count = MimicJoints.from_model(model), len(joints)
     driven = [
         (j, 1.0) if j < len(AXES) else (int(mimic_joints.axis[j - 6]), float(mimic_joints.ratio[j - 6])) for j in joints
@@ -173,25 +174,6 @@ def _joints_above(model: mujoco.MjModel, body: int) -> list[int]:
         joints += range(at, at + int(model.body_jntnum[body])) if at >= 0 else ()
         body = int(model.body_parentid[body])
     return joints
-
-
-def _farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> Floats:
-    """Return the largest distance (n,) from each axis of points behind the last axis, at any angles [m].
-
-    Args:
-        anchors: (n, 3) of the joints [m].
-        lines: (n, 3) directions of their axes.
-        points: centres (P, 3) and radii (P,) of balls [m].
-    """
-    offset, radius = points[0] - anchors[-1], points[1]
-    reach = float((np.linalg.norm(offset, axis=1) + radius).max())
-    distances = np.empty(len(anchors))
-    distances[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
-    for i in range(len(anchors) - 2, -1, -1):
-        step = anchors[i + 1] - anchors[i]
-        distances[i] = np.linalg.norm(np.cross(step, lines[i])) + reach
-        reach += float(np.linalg.norm(step))
-    return distances
 
 
 def _points(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[Floats, Floats]:

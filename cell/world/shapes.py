@@ -41,6 +41,7 @@ from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, Scene
 from planner.errors import PlannerError
 from planner.geometry.hull import solid_hull
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.rigid import rigid_transform, translation
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 
@@ -101,8 +102,7 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
     end = T_flange_housing[:3, :3] @ np.clip(in_housing, -half, half) + T_flange_housing[:3, 3]
     length = float(np.linalg.norm(end))
     if scene.housing.bracket_mm > 0 and length > 1e-6:
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = _rotation_to(end / length), end / 2
+        T = rigid_transform(_rotation_to(end / length), end / 2)
         radius = scene.housing.bracket_mm / 2000.0
         body = last.add_body(name="bracket", pos=flange.pos, quat=flange.quat)
         bracket = add_cylinder(body, "bracket", radius, length, T)
@@ -118,16 +118,12 @@ def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:
     floor.contype, floor.conaffinity = _GROUND, 0
     if scene.robot.pedestal_mm is not None:
         size, middle = np.array(scene.robot.pedestal_mm) / 1000.0
-        T = np.eye(4)
-        T[:3, 3] = middle
-        add_box(spec.worldbody, "pedestal", size / 2, T, [0.4, 0.42, 0.45, 1]).contype = _GROUND
+        add_box(spec.worldbody, "pedestal", size / 2, translation(middle), [0.4, 0.42, 0.45, 1]).contype = _GROUND
 
 
 def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
     """Add the rotary table as a stationary cylinder below its face: its rotation changes nothing."""
-    middle = np.eye(4)
-    middle[2, 3] = -scene.table.height_mm / 2000.0
-    T = table.T_base_table @ middle
+    T = table.T_base_table @ translation([0, 0, -scene.table.height_mm / 2000.0])
     add_cylinder(spec.worldbody, TABLE, scene.table.diameter_mm / 2000.0, scene.table.height_mm / 1000.0, T)
 
 

@@ -164,14 +164,28 @@ class TravelBound:
         caps = np.zeros((_N, _N))
         for k in range(_N):
             piece = self._link_of == k
-            offset = self._points[piece] - self._anchors[k]
-            caps[k, k] = (np.linalg.norm(np.cross(offset, self._axes[k]), axis=1) + self._radii[piece]).max()
-            reach = (np.linalg.norm(offset, axis=1) + self._radii[piece]).max()  # from anchor k
-            for i in range(k - 1, -1, -1):
-                step = self._anchors[i + 1] - self._anchors[i]
-                caps[i, k] = np.linalg.norm(np.cross(step, self._axes[i])) + reach
-                reach += np.linalg.norm(step)
+            balls = self._points[piece], self._radii[piece]
+            caps[: k + 1, k] = farthest(self._anchors[: k + 1], self._axes[: k + 1], balls)
         return caps
+
+
+def farthest(anchors: Floats, lines: Floats, points: tuple[Floats, Floats]) -> Floats:
+    """Return the largest distance (n,) from each axis of points behind the last axis, at any angles [m].
+
+    Args:
+        anchors: (n, 3) of the joints [m].
+        lines: (n, 3) directions of their axes.
+        points: centres (P, 3) and radii (P,) of balls [m].
+    """
+    offset, radius = points[0] - anchors[-1], points[1]
+    reach = float((np.linalg.norm(offset, axis=1) + radius).max())
+    distances = np.empty(len(anchors))
+    distances[-1] = (np.linalg.norm(np.cross(offset, lines[-1]), axis=1) + radius).max()
+    for i in range(len(anchors) - 2, -1, -1):
+        step = anchors[i + 1] - anchors[i]
+        distances[i] = np.linalg.norm(np.cross(step, lines[i])) + reach
+        reach += float(np.linalg.norm(step))
+    return distances
 
 
 def table_radius(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> float:

@@ -61,7 +61,7 @@ class Scan(Value):
                 f"the scanner {type(scanner).__name__} has no model of the precision of its points; give --range-noise"
             )
         R, t = self.T_object_scanner[:3, :3], self.T_object_scanner[:3, 3]
-        sigma: Floats = law((self.points - t) @ R, _normals(part_mesh, self.face) @ R)
+        sigma: Floats = law((self.points - t) @ R, part_mesh.normals[self.face] @ R)
         known = np.isfinite(sigma)
         if len(sigma) and not known.any():
             raise SceneError(
@@ -112,7 +112,7 @@ def scan(
 
     pixel = np.flatnonzero(codes == Rejection.MEASURED)
     distance = hits.distance[pixel, None]
-    normals = _normals(part_mesh, hits.face[pixel])
+    normals = part_mesh.normals[hits.face[pixel]]
     codes[pixel] = scanner.reject(scanner.source + grid[pixel] * distance, normals @ R)
 
     is_measured = codes[pixel] == Rejection.MEASURED
@@ -126,13 +126,3 @@ def scan(
     codes[pixel[blocked]] = Rejection.SENSOR_BLOCKED
     pixel, points = pixel[~blocked], points[~blocked]
     return Scan(pose, scanner.grid_shape, codes, hit_face, pixel, points, hit_face[pixel])
-
-
-def _normals(mesh: TriangleMesh, faces: NDArray[np.int32]) -> Floats:
-    """Return the outward unit normals (N, 3) of some faces: a scan hits only few of a part's."""
-    unique, back = np.unique(faces, return_inverse=True)
-    a, b, c = (mesh.vertices[mesh.faces[unique, corner]] for corner in range(3))
-    cross = np.cross(b - a, c - a)
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals: Floats = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)[back]
-    return normals

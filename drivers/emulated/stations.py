@@ -69,14 +69,6 @@ class Write:
 
 
 @dataclass(frozen=True, slots=True)
-class ExceptionResponse:
-    """Exception telegram."""
-
-    function: int
-    code: int
-
-
-@dataclass(frozen=True, slots=True)
 class Header:
     """Fields that an answer repeats from its request.
 
@@ -89,27 +81,27 @@ class Header:
     transaction: int | None
 
 
-def parse_pdu(pdu: bytes) -> Read | Write | ExceptionResponse:
-    """Return the request in a protocol data unit (function code and data)."""
+def parse_pdu(pdu: bytes) -> Read | Write | bytes:
+    """Return the request in a protocol data unit (function code and data), or the exception that answers it."""
     function = pdu[0] if pdu else 0
     if function == READ_INPUT:
         if len(pdu) != 5:
-            return ExceptionResponse(function, ILLEGAL_VALUE)
+            return exception(function, ILLEGAL_VALUE)
         address, count = struct.unpack(">HH", pdu[1:])
-        return Read(address, count) if 1 <= count <= MAX_READ else ExceptionResponse(function, ILLEGAL_VALUE)
+        return Read(address, count) if 1 <= count <= MAX_READ else exception(function, ILLEGAL_VALUE)
     if function == WRITE_HOLDING:
         if len(pdu) < 6:
-            return ExceptionResponse(function, ILLEGAL_VALUE)
+            return exception(function, ILLEGAL_VALUE)
         address, count, size = struct.unpack(">HHB", pdu[1:6])
         if not 1 <= count <= MAX_WRITE or size != 2 * count or len(pdu) != 6 + size:
-            return ExceptionResponse(function, ILLEGAL_VALUE)
+            return exception(function, ILLEGAL_VALUE)
         return Write(address, struct.unpack(f">{count}H", pdu[6:]))
-    return ExceptionResponse(function & 0x7F, ILLEGAL_FUNCTION)
+    return exception(function, ILLEGAL_FUNCTION)
 
 
-def exception_response(exception: ExceptionResponse) -> bytes:
+def exception(function: int, code: int) -> bytes:
     """Return the protocol data unit of an exception."""
-    return bytes([exception.function | 0x80, exception.code])
+    return bytes([function | 0x80, code])
 
 
 def pack(header: Header, pdu: bytes) -> bytes:
@@ -179,23 +171,13 @@ def split_rtu(received: bytes) -> tuple[list[bytes], bytes]:
     return packets, received[at:]
 
 
-def _crc16_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        for _ in range(8):
-            byte = byte >> 1 ^ (0xA001 if byte & 1 else 0)
-        table.append(byte)
-    return tuple(table)
-
-
-_CRC16 = _crc16_table()
-
-
 def crc16(data: bytes) -> int:
     """Return the CRC-16/MODBUS."""
     crc = 0xFFFF
     for byte in data:
-        crc = crc >> 8 ^ _CRC16[(crc ^ byte) & 0xFF]
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
     return crc
 
 
@@ -354,8 +336,8 @@ class ModbusStation:
                 return pack(header, self._read(request))
             case Write() as request:
                 return pack(header, self._write(request))
-            case exception:
-                return pack(header, exception_response(exception))
+            case refusal:
+                return pack(header, refusal)
 
     def refuse(self, packet: bytes) -> bytes:
         """Return a refusal of a telegram that is not executed: device failure."""
@@ -363,7 +345,7 @@ class ModbusStation:
         if parsed is None:
             return b""
         header, pdu = parsed
-        return pack(header, exception_response(ExceptionResponse(pdu[0] & 0x7F, DEVICE_FAILURE)))
+        return pack(header, exception(pdu[0], DEVICE_FAILURE))
 
     def _parse(self, packet: bytes) -> tuple[Header, bytes] | None:
         return parse_rtu(packet) if self._rtu else parse_tcp(packet)
@@ -375,19 +357,19 @@ class ModbusStation:
             if first >= 0 and first + request.count <= block.registers:
                 read = block.encode(values())[first : first + request.count]
                 return struct.pack(f">BB{len(read)}H", READ_INPUT, 2 * len(read), *read)
-        return exception_response(ExceptionResponse(READ_INPUT, ILLEGAL_ADDRESS))
+        return exception(READ_INPUT, ILLEGAL_ADDRESS)
 
     def _write(self, request: Write) -> bytes:
         if request.address != registers.COMMAND.address:
-            return exception_response(ExceptionResponse(WRITE_HOLDING, ILLEGAL_ADDRESS))
+            return exception(WRITE_HOLDING, ILLEGAL_ADDRESS)
         try:
             values, counts = self._blocks[registers.COMMAND.name].decode(request.values)
         except ProtocolError:
-            return exception_response(ExceptionResponse(WRITE_HOLDING, ILLEGAL_VALUE))
+            return exception(WRITE_HOLDING, ILLEGAL_VALUE)
         points = np.array(counts, dtype=np.int32).reshape(-1, self._axes)
         fields = {name: value for name, value in values.items() if isinstance(value, int)}
         if fields["points"] != len(points):
-            return exception_response(ExceptionResponse(WRITE_HOLDING, ILLEGAL_VALUE))
+            return exception(WRITE_HOLDING, ILLEGAL_VALUE)
         self._heartbeat, session = fields["heartbeat"], fields["session"]
         if fields["command"] != registers.NONE:
             self._answer = self._command(fields, points)

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
-from drivers.contract import FULL, Answer, Capabilities, Command, Fault, Flag, Mode, Result, RobotState, Stop
+from drivers.contract import FULL, Answer, Capabilities, Command, Fault, Result, RobotState, Stop
 from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, ProtocolError
 from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl
@@ -30,7 +30,9 @@ from drivers.wire import (
     Timeouts,
     connect_tcp,
     describe_failure,
+    fault_message,
     speed_from_wire,
+    state_of_program,
 )
 from drivers.wires import kvp, kvp_program
 
@@ -291,42 +293,33 @@ class KvpLink(ReopeningLink):
             raise ProtocolError(f"{self._proxy.name} reports impossible values: {error}") from error
         is_stopped, has_move = stopped == "TRUE", own["RUNNING"] != 0
         fault, done_sequence, ending = own["FAULT"], own["DONE"], own["ENDING"]
-        message = Fault(fault).message if fault in tuple(Fault) else ""
+        message = fault_message(fault)
         if alarm != "TRUE":
             fault, message = int(Fault.EMERGENCY_STOP), "the emergency stop is pressed"
         elif program != "#P_ACTIVE" and not (has_move and program == "#P_STOP"):
             fault = _NOT_ACTIVE + _PROGRAM_STATES.get(program, 0)
             message = f"the program {kvp_program.NAME} does not run ({program}); select it at the pendant and start it"
-        is_held = has_move and program == "#P_STOP" and is_stopped and not fault
         if has_move and fault and is_stopped:
             done_sequence, ending = own["RUNNING"], int(Result.FAULTED)
-        at_rest = is_stopped and (is_held or bool(fault) or not has_move)
-        if fault:
-            mode = Mode.EMERGENCY_STOP if fault == Fault.EMERGENCY_STOP else Mode.FAULT
-        elif not at_rest:
-            mode = Mode.MOVING
-        elif done_sequence and done_sequence == own["ACK"] and ending == Result.OK and not has_move:
-            mode = Mode.IN_POSITION
-        else:
-            mode = Mode.IDLE
-        state = RobotState(
-            mode=mode,
+        return state_of_program(
+            is_slow=is_stopped,
+            is_paused=program == "#P_STOP",
+            has_move=has_move,
+            is_emergency=fault == Fault.EMERGENCY_STOP,
+            passed=own["PASSED"],
+            n_via=self._n_via,
             axes=frozen(counts, np.int32),
-            at_rest=at_rest,
             ack_sequence=own["ACK"],
             ack_result=own["RESULT"],
             done_sequence=done_sequence,
             done_result=ending,
-            queue_depth=int(has_move),
             fault_code=fault,
             fault_message=message,
             boot=own["BOOT"],
             owner=own["OWNER"],
             heartbeat=heartbeat,
             override=min(max(override, 0), FULL),
-            path=FULL if mode is Mode.IN_POSITION else min(own["PASSED"] * FULL // self._n_via, FULL - 1),
         )
-        return replace(state, flags=state.flags | Flag.HELD) if is_held else state
 
 
 class KvpDriver(ControllerClient):
@@ -347,5 +340,4 @@ class KvpDriver(ControllerClient):
         clock = context.clock or RealTimeClock()
         line = KvpLine(url.host, url.port or PORT, timeouts.answer)
         link = KvpLink(line, clock, timeouts, context.limits, timer)
-        link.notify = context.notify
         return cls(link, clock, context.limits, notify=context.notify)

@@ -21,7 +21,7 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
-from drivers.contract import Answer, Capabilities, Fault, Flag, Mode, Reset, RobotState, Stop
+from drivers.contract import Answer, Capabilities, Flag, Mode, Reset, RobotState, Stop
 from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import AXES, SetPoints
@@ -38,6 +38,7 @@ from drivers.wire import (
     Take,
     Timeouts,
     describe_failure,
+    fault_message,
     port_path,
     speed_from_wire,
 )
@@ -347,16 +348,12 @@ def _parse_state(values: Mapping[str, registers.Value]) -> RobotState:
         mode = Mode(_integer(values, "mode"))
     except ValueError as error:
         raise ProtocolError(f"the controller reports mode {values['mode']}; modes are 0 to {max(Mode)}") from error
-    try:
-        message = Fault(code).message
-    except ValueError:
-        message = f"fault {code} of this controller"
     at_rest = bool(_integer(values, "flags") & Flag.AT_REST)
     return RobotState(
         mode,
         axes,
         at_rest,
-        fault_message=message,
+        fault_message=fault_message(code),
         **{name: _integer(values, name) for name in STATUS_FIELDS if name != "mode"},
     )
 
@@ -409,7 +406,6 @@ class ModbusRtuDriver(ControllerClient):
 def _driver(kind: type[Client], port: ModbusPort, timeouts: Timeouts, context: Context) -> Client:
     clock = context.clock or RealTimeClock()
     link = ModbusLink(port, clock, timeouts)
-    link.notify = context.notify
     return kind(link, clock, context.limits, notify=context.notify)
 
 

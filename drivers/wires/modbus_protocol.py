@@ -1,4 +1,4 @@
-"""The Modbus register map as data. A test compares it with docs/internals/protocol_registers.csv.
+"""The Modbus register map; `modbus_registers.csv` has its fields, also in docs/internals/protocol_registers.csv.
 
 Three blocks, the same on TCP and RTU; addresses are 0-based as in a telegram.
 
@@ -15,11 +15,13 @@ The CRC-32 is that of `drivers.wire`, over the registers before it as they are s
 significant first, in the order of addresses.
 """
 
+import csv
 import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from typing import Final
 
 from drivers.errors import ProtocolError
@@ -36,16 +38,6 @@ PER_AXIS: Final = 0
 
 NONE, MOVE, STAGE, STOP, TAKE, GIVE, RESET = 0, 1, 2, 4, 5, 6, 9
 """Command codes. NONE is a heartbeat and nothing else."""
-
-COMMANDS: Final = {
-    NONE: "no command: heartbeat only; the sequence is not looked at",
-    MOVE: "move through `count` via points, the last `points` of which stand in this block",
-    STAGE: "write `points` via points into the buffer of move `sequence`, from `offset` on; nothing moves",
-    STOP: "brake on the path; obeyed from everybody, whatever the sequence",
-    TAKE: "own the arm as `session`, with the watchdog `watchdog_ms`; the sequence is repeated and not used up",
-    GIVE: "give the arm back; the sequence is repeated and not used up",
-    RESET: "clear a latched fault",
-}
 
 _WIDTH = {"u16": 1, "i32": 2, "u32": 2, "f32": 2, "text": 1}
 _CODE = {"u16": "H", "i32": "i", "u32": "I", "f32": "f"}
@@ -169,75 +161,21 @@ def _unpack(fields: Sequence[Field], data: bytes) -> dict[str, Value]:
     return unpacked
 
 
-_IDENTITY = (
-    Field("magic", "u16", "0x4B52"),
-    Field("version", "u16", f"version of this map, {MAP_VERSION}"),
-    Field("word_order", "f32", "1234.5; read as anything else, the words are swapped"),
-)
+_TABLE = (resources.files("drivers.wires") / "modbus_registers.csv").read_text(encoding="utf-8")
+_ROWS = list(csv.DictReader(_TABLE.splitlines()))
 
-COMMAND: Final = Block(
-    "command",
-    "holding",
-    0,
-    (
-        Field("heartbeat", "u16", "counts on with every write; the owner's feeds the watchdog, unless it is repeated"),
-        Field("session", "u16", "1 to 65535: the client's; 0: of none, for a stop"),
-        Field("sequence", "u16", "1 to 65535, new for every command"),
-        Field("command", "u16", "see the command codes"),
-        Field("watchdog_ms", "u16", "taking: silence [ms] after which a moving arm is stopped, 100 to 5000; else 0"),
-        Field("speed", "u16", "speed fraction of a move [1e-4]"),
-        Field("points", "u16", "via points in this block, k; 0 to 9 of six axes"),
-        Field("offset", "u32", "staging: index of this block's first point in the move; else 0"),
-        Field("count", "u32", "move: via points of the whole move; else 0"),
-        Field("points_crc", "u32", "move: CRC-32 over all its via points; else 0"),
-    ),
-    optional_points=True,
-)
+COMMANDS: Final = {int(row["name"]): row["meaning"] for row in _ROWS if row["block"] == "command code"}
 
-STATUS: Final = Block(
-    "status",
-    "input",
-    0,
-    (
-        *_IDENTITY,
-        Field("heartbeat", "u16", "counts on while the controller lives"),
-        Field("boot", "u16", "another number after each start of the controller"),
-        Field("echo", "u16", "heartbeat of the last command block that was taken"),
-        Field("flags", "u16", "bit 0: stands; bit 1: moves or brakes; bit 2: in position; bit 3: fault; bit 4: e-stop; "
-              "bit 5: held; all others 0"),
-        Field("mode", "u16", "0 idle, 1 moving, 2 in position, 3 fault, 4 e-stop"),
-        Field("owner", "u16", "session that owns the arm; 0: none"),
-        Field("ack_sequence", "u16", "last command that was executed or refused; 0: none since the start"),
-        Field("ack_result", "u16", "the answer to it"),
-        Field("done_sequence", "u16", "last move that ended; 0: none since the start"),
-        Field("done_result", "u16", "how it ended"),
-        Field("answer_sequence", "u16", "sequence of the last command block with a command"),
-        Field("answer_result", "u16", "the answer to that block: also REUSED, STALE, INCOMPLETE"),
-        Field("queue_depth", "u16", "moves accepted and not ended, 0 or 1"),
-        Field("fault_code", "u16", "0, or the latched fault"),
-        Field("override", "u16", "share of the commanded speed that is driven [1e-4]"),
-        Field("path", "u16", "share of its way that the last move has passed [1e-4]"),
-        Field("n_axes", "u16", "number of axes, n"),
-        Field("axes", "i32", "A1 on [1e-4 deg]", PER_AXIS),
-    ),
-)  # fmt: skip
 
-CAPABILITIES: Final = Block(
-    "capabilities",
-    "input",
-    100,
-    (
-        *_IDENTITY,
-        Field("n_axes", "u16", "number of axes, n, 6 to 12"),
-        Field("time_scale", "u32", "seconds of the controller's clock per 1,000 s; 1,000 of all but emulators"),
-        Field("max_speed", "u16", "largest speed fraction [1e-4]"),
-        Field("max_via", "u32", "most via points of one move; 0: no bound"),
-        Field("name", "text", "what the controller is", 16),
-        Field("lower", "i32", "smallest set-points, A1 on [1e-4 deg]", PER_AXIS),
-        Field("upper", "i32", "largest set-points [1e-4 deg]", PER_AXIS),
-        Field("max_step", "i32", "largest change of an axis from one via point to the next [1e-4 deg]", PER_AXIS),
-    ),
-)
+def _fields(block: str) -> tuple[Field, ...]:
+    rows = (row for row in _ROWS if row["block"] == block)
+    return tuple(Field(row["name"], row["type"], row["meaning"], int(row["count"])) for row in rows)
+
+
+_IDENTITY = _fields("identity")
+COMMAND: Final = Block("command", "holding", 0, _fields("command"), optional_points=True)
+STATUS: Final = Block("status", "input", 0, (*_IDENTITY, *_fields("status")))
+CAPABILITIES: Final = Block("capabilities", "input", 100, (*_IDENTITY, *_fields("capabilities")))
 
 BLOCKS: Final = (COMMAND, STATUS, CAPABILITIES)
 

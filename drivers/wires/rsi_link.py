@@ -9,13 +9,12 @@ import secrets
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, Listener
 from typing import Any, Final
 
-from drivers.client import ControllerClient
+from drivers.client import ControllerClient, Link
 from drivers.clock import Clock, RealTimeClock
 from drivers.contract import Answer, Capabilities, Command, Move, RobotState
 from drivers.errors import DriverUrlError, LinkError, LinkLostError
@@ -34,7 +33,7 @@ _END = 5.0  # longest time for it to end [s]
 _NOT_REPORTED = "its axis limits, nor who else can stop its program; late answers make the arm pause on its path"
 
 
-class RsiLink:
+class RsiLink(Link):
     """The link to one controller.
 
     Args:
@@ -46,10 +45,7 @@ class RsiLink:
         patience: longest time until the first telegram [s].
     """
 
-    deadline = float("inf")
-
     def __init__(self, host: str, port: int, clock: Clock, timeouts: Timeouts, limits: Limits, patience: float) -> None:
-        self.notify: Callable[[str], None] | None = None
         self._address, self._clock, self._timeouts = (host, port), clock, timeouts
         self._limits, self._patience = limits, patience
         self._process: subprocess.Popen[bytes] | None = None
@@ -218,5 +214,4 @@ class RsiDriver(ControllerClient):
             raise DriverUrlError("rsi:// drives six axes, and no rotary table; choose another driver")
         clock = context.clock or RealTimeClock()
         link = RsiLink(url.host, url.port or rsi.PORT, clock, timeouts, context.limits, patience)
-        link.notify = context.notify
         return cls(link, clock, context.limits, notify=context.notify)

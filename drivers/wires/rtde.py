@@ -12,7 +12,6 @@ from typing import Any, Final
 
 VERSION: Final = 2
 HEADER: Final = struct.Struct(">HB")
-MAX_PACKAGE: Final = 65535
 
 
 class Package(IntEnum):

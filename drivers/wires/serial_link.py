@@ -220,5 +220,4 @@ class SerialDriver(ControllerClient):
         path = port_path(url)
         clock = context.clock or RealTimeClock()
         link = SerialLink(SerialPort(path, baud), clock, timeouts, seconds_per_byte=BITS_PER_BYTE / baud)
-        link.notify = context.notify
         return cls(link, clock, context.limits, notify=context.notify)

@@ -19,24 +19,22 @@ longest way, give it the peak speed and the duration of the fastest profile at t
 must be in remote control; it accepts programs from every client of its network.
 """
 
-import math
 import select
 import socket
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from drivers.client import ControllerClient
+from drivers.client import ControllerClient, Link
 from drivers.clock import Clock, RealTimeClock
-from drivers.contract import FULL, Answer, Capabilities, Command, Flag, Mode, Move, Reset, Result, RobotState, Stop
+from drivers.contract import FULL, Answer, Capabilities, Command, Mode, Move, Reset, Result, RobotState, Stop
 from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkError, LinkLostError, ProtocolError
 from drivers.limits import Limits
 from drivers.profile import interpolate
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import AXES, PER_DEGREE, SetPoints, from_rad, to_rad
-from drivers.wire import Timeouts, connect_tcp, describe_failure
+from drivers.wire import Timeouts, connect_tcp, describe_failure, state_of_program
 from drivers.wires import rtde
 from drivers.wires.rtde import Package, Recipe
 
@@ -79,7 +77,7 @@ _NOT_REPORTED = "its axis limits, nor which other clients of its network send pr
 _ROBOT_FAULT = 100  # fault code of a robot mode: this plus the mode
 
 
-class UrLink:
+class UrLink(Link):
     """The link to one controller.
 
     Args:
@@ -91,12 +89,9 @@ class UrLink:
         script_port: port of the secondary interface.
     """
 
-    deadline = math.inf
-
     def __init__(
         self, host: str, clock: Clock, timeouts: Timeouts, limits: Limits, rtde_port: int, script_port: int
     ) -> None:
-        self.notify: Callable[[str], None] | None = None
         self._host, self._clock, self._timeouts, self._limits = host, clock, timeouts, limits
         self._rtde_port, self._script_port = rtde_port, script_port
         self._socket: socket.socket | None = None
@@ -303,38 +298,24 @@ class UrLink:
             fault, message = _ROBOT_FAULT + int(robot), f"the robot {_ROBOT_MODES.get(robot, f'is in mode {robot}')}"
         if running and running != done_sequence and runtime == STOPPED:  # somebody or a fault ended the program
             done_sequence, done_result = running, Result.FAULTED if fault else Result.STOPPED_BY_OTHER
-        has_move = bool(running) and running != done_sequence
-        slow = max(abs(speed) for speed in values["actual_qd"]) < _AT_REST
-        is_held = has_move and runtime in (PAUSING, PAUSED) and slow and not fault
-        at_rest = slow and (is_held or bool(fault) or not has_move)
-        if fault:
-            mode = Mode.EMERGENCY_STOP if safety in _EMERGENCY else Mode.FAULT
-        elif not at_rest:
-            mode = Mode.MOVING
-        elif done_sequence and done_sequence == register[ACK] and done_result == Result.OK and not has_move:
-            mode = Mode.IN_POSITION
-        else:
-            mode = Mode.IDLE
-        path = FULL if mode is Mode.IN_POSITION else min(register[PASSED] * FULL // self._n_via, FULL - 1)
-        state = RobotState(
-            mode=mode,
+        return state_of_program(
+            is_slow=max(abs(speed) for speed in values["actual_qd"]) < _AT_REST,
+            is_paused=runtime in (PAUSING, PAUSED),
+            has_move=bool(running) and running != done_sequence,
+            is_emergency=safety in _EMERGENCY,
+            passed=register[PASSED],
+            n_via=self._n_via,
             axes=from_rad(values["actual_q"]),
-            at_rest=at_rest,
             ack_sequence=register[ACK],
             ack_result=register[ACK_RESULT],
             done_sequence=done_sequence,
             done_result=done_result,
-            queue_depth=int(has_move),
             fault_code=fault,
             fault_message=message,
             heartbeat=int(values["timestamp"] * 1000.0) % 65536,
             owner=int(values[f"input_int_register_{SESSION}"]),
             override=min(max(round(values["target_speed_fraction"] * FULL), 0), FULL),
-            path=max(path, 0),
         )
-        if is_held:
-            state = replace(state, flags=state.flags | Flag.HELD)
-        return state
 
     def _await_answer(self, sequence: int) -> Answer:
         """Wait until the registers show a command."""
@@ -426,5 +407,4 @@ class UrDriver(ControllerClient):
         clock = context.clock or RealTimeClock()
         limits = replace(context.limits, max_via=min(context.limits.max_via or _MAX_VIA, _MAX_VIA))
         link = UrLink(url.host, clock, timeouts, limits, rtde_port, script_port)
-        link.notify = context.notify
         return cls(link, clock, context.limits, notify=context.notify)

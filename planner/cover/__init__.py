@@ -9,7 +9,7 @@
 
 problem       the problem as stated and as an integer instance; the overlap graph
 answer        `Cover`, and its conversion from selected columns
-budget        effort, clock, Ctrl-C, incumbent
+budget        effort, Ctrl-C, incumbent
 reductions    canonical form and exact reductions
 search        greedy selection, local search, Meta-RaPS
 bounds        certified lower bounds; the linear programme in HiGHS

@@ -24,7 +24,6 @@ class CoverStatus(Enum):
 
     PROVEN = "optimal for these candidates and samples"
     BOUNDED = "within a known distance of the optimum for these candidates and samples"
-    TIME_LIMITED = "the time limit stopped the search; within a known distance of the optimum"
     INTERRUPTED = "the search was interrupted; within a known distance of the optimum"
     NOTHING_COVERABLE = "no allowed candidate measures any sample"
 
@@ -137,9 +136,7 @@ class Cover(Value):
 
     @property
     def termination(self) -> str:
-        """Beginning of a sentence about a search that time limit or Ctrl-C ended; empty otherwise."""
-        if self.status is CoverStatus.TIME_LIMITED:
-            return "the time limit stopped the search; "
+        """Beginning of a sentence about a search that Ctrl-C ended; empty otherwise."""
         return "the search was interrupted; " if self.status is CoverStatus.INTERRUPTED else ""
 
 
@@ -210,10 +207,8 @@ def make_cover(
         status = CoverStatus.NOTHING_COVERABLE
     elif is_proven:
         status = CoverStatus.PROVEN
-    elif budget.interrupted:
-        status = CoverStatus.INTERRUPTED
     else:
-        status = CoverStatus.TIME_LIMITED if budget.time_limited else CoverStatus.BOUNDED
+        status = CoverStatus.INTERRUPTED if budget.interrupted else CoverStatus.BOUNDED
     return Cover(
         views=views,
         marginal_area=np.array([float(areas[rows].sum()) for rows in added] + [0.0] * len(idle)),

@@ -400,8 +400,6 @@ class LinearModel:
 
     def run(self, budget: Budget) -> None:
         """Solve as far as the budget and `PIVOTS` allow."""
-        if budget.remaining_seconds is not None:
-            self.highs.setOptionValue("time_limit", self.highs.getRunTime() + budget.remaining_seconds)
         budget.spend(CALL_EFFORT + ENTRY_EFFORT * self.highs.getNumNz() + 2 * self.A.nnz)
         expected = self._iteration_effort(min(self._n_basic + PIVOTS / 2, self.highs.getNumRow()))
         self.highs.setOptionValue("simplex_iteration_limit", min(max(budget.remaining // expected, 1), PIVOTS))

@@ -1,14 +1,13 @@
-"""Effort budget of a solve: counted computing, the wall clock, Ctrl-C, and the incumbent.
+"""Effort budget of a solve: counted computing, Ctrl-C, and the incumbent.
 
 Effort is counted in *touched matrix entries* plus a charge for each step and each simplex iteration, not in seconds:
 equal seeds and budgets give equal plans on every machine. A current core does `EFFORT_PER_SECOND` units in about a
-second. The wall clock is only a guard. If it stops a search, `time_limited` is True and results need not repeat.
+second.
 
 The incumbent is kept here and not in the solver: if a solver is interrupted, the owner of the budget still has it.
 """
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -32,9 +31,6 @@ LARGE = 5_000_000
 LARGE_PACE = 1.25
 """Charge of a unit of effort on a larger matrix, which does not fit into the CPU cache."""
 
-UNLIMITED_EFFORT = 10**15
-"""A budget that only the clock ends."""
-
 _POLL_S = 0.1  # time between two questions for Ctrl-C while a compiled solver runs
 
 Result = TypeVar("Result")
@@ -46,13 +42,12 @@ def scaled_effort(effort: int, n_entries: int) -> int:
 
 
 class Budget:
-    """Remaining effort and time, and the incumbent and lower bound of the problem that is being solved.
+    """Remaining effort, and the incumbent and lower bound of the problem that is being solved.
 
     Attributes:
         limit: effort that may be spent.
         spent: effort spent.
-        time_limited: whether the wall clock stopped a search.
-        interrupted: whether Ctrl-C did.
+        interrupted: whether Ctrl-C stopped a search.
         incumbent: columns of the best selection so far; None before the first.
         objective: its objective (`CoverInstance.objective`), which is minimised.
         lower_bound: lower bound on the objective of any selection.
@@ -60,27 +55,17 @@ class Budget:
         pace: charge of a unit of effort.
     """
 
-    def __init__(
-        self,
-        limit: int = DEFAULT_EFFORT,
-        time_limit_s: float | None = None,
-        clock: Callable[[], float] = time.perf_counter,
-    ) -> None:
+    def __init__(self, limit: int = DEFAULT_EFFORT) -> None:
         if limit < 0:
             raise PlannerError(f"the budget is {limit} units of effort; it must be zero or above")
-        if time_limit_s is not None and not time_limit_s >= 0:
-            raise PlannerError(f"the time limit is {time_limit_s} s; it must be zero or above, or None")
         self.limit = limit
         self.spent = 0
-        self.time_limited = False
         self.interrupted = False
         self.incumbent: Ints | None = None
         self.objective = 0
         self.lower_bound = 0
         self.tolerance = 0
         self.pace = 1.0
-        self._clock = clock
-        self._deadline = None if time_limit_s is None else clock() + time_limit_s
 
     @property
     def remaining(self) -> int:
@@ -88,22 +73,14 @@ class Budget:
         return 0 if self.interrupted else max(self.limit - self.spent, 0)
 
     @property
-    def remaining_seconds(self) -> float | None:
-        """Seconds until the time limit; None without one."""
-        return None if self._deadline is None else max(self._deadline - self._clock(), 0.0)
-
-    @property
     def is_proven(self) -> bool:
         """Whether the incumbent is optimal: it meets the lower bound."""
         return self.incumbent is not None and self.objective - self.tolerance <= self.lower_bound
 
     def spend(self, effort: int) -> bool:
-        """Charge effort; return whether to go on (effort and time remain, the incumbent is not proven)."""
+        """Charge effort; return whether to go on (effort remains, the incumbent is not proven)."""
         raise_interrupt()
         self.spent += int(effort * self.pace)
-        if self._deadline is not None and self._clock() >= self._deadline:
-            self.time_limited = True
-            return False
         return self.remaining > 0 and not self.is_proven
 
     def offer(self, columns: Ints, objective: int) -> bool:
@@ -118,22 +95,19 @@ class Budget:
         self.lower_bound = max(self.lower_bound, lower_bound)
 
     def begin(self, tolerance: int = 0, lower_bound: int = 0) -> None:
-        """Begin with another problem: forget incumbent and bound, keep the remaining effort and time."""
+        """Begin with another problem: forget incumbent and bound, keep the remaining effort."""
         self.incumbent, self.objective = None, 0
         self.tolerance, self.lower_bound = tolerance, lower_bound
 
     @contextmanager
     def portion(self, share: float) -> Iterator[None]:
-        """Limit the block to a share of the remaining effort and time."""
-        limit, deadline = self.limit, self._deadline
+        """Limit the block to a share of the remaining effort."""
+        limit = self.limit
         self.limit = self.spent + int(self.remaining * share)
-        if deadline is not None:
-            now = self._clock()
-            self._deadline = now + share * max(deadline - now, 0.0)
         try:
             yield
         finally:
-            self.limit, self._deadline = limit, deadline
+            self.limit = limit
 
     @contextmanager
     def stopped_by_interrupt(self) -> Iterator[None]:

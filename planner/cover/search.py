@@ -21,7 +21,7 @@ Glover 1989, doi:10.1287/ijoc.1.3.190), and all columns of the drawn row are exa
 area of a number of columns. Components of the overlap graph beyond one count as one more deficit, whose weight grows
 while they last.
 
-The compiled loops run in chunks, between which the clock, Ctrl-C and the budget are checked. A search without
+The compiled loops run in chunks, between which Ctrl-C and the budget are checked. A search without
 improvement for long restarts with initial weights.
 
 **Meta-RaPS** (Lan, DePuy, Whitehouse 2007, doi:10.1016/j.ejor.2005.09.028) is kept for comparison. Each iteration
@@ -199,7 +199,7 @@ FAR_BITS, FAR_BITS_CHARGE = 10_000_000, 1.0
 """Bytes of bit masks (`WIDE`) from which each access misses the caches as well, and the further surcharge."""
 
 CHUNK_EFFORT = 5_000_000
-"""Effort between two checks of the clock: about 10 ms."""
+"""Effort between two checks of Ctrl-C and the budget: about 10 ms."""
 
 START_EFFORT, FAR_BYTE_EFFORT = 5, 3
 """Charge of each entry at the start of a search, and of each byte of bit masks beyond `FAR_BITS`."""

@@ -15,7 +15,6 @@ uncovered. One such problem is then exact if at most one region has slack.
 Rows may also be weighted by the caller's weights in place of their areas; the answer is in areas again.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -46,8 +45,6 @@ def solve(
     solver: str = "auto",
     start: Ints | None = None,
     effort_budget: int | None = None,
-    time_limit_s: float | None = None,
-    clock: Callable[[], float] = time.perf_counter,
 ) -> Cover:
     """Select the fewest or cheapest columns for a coverage, or the largest area with a number of them.
 
@@ -62,8 +59,6 @@ def solve(
             and with an overlap: the greedy selection.
         effort_budget: units of effort for everything together (500 million are about a second of one core); None:
             `DEFAULT_EFFORT`, scaled with the matrix unless there are regions or weights.
-        time_limit_s: wall-clock limit [s]; the status reports if it ended the search.
-        clock: returns seconds, for the time limit.
 
     Raises:
         PlannerError: for a contradictory problem, or an unknown solver.
@@ -71,17 +66,13 @@ def solve(
     if solver not in SOLVERS:
         raise PlannerError(f"there is no solver {solver!r}; choose one of {', '.join(SOLVERS)}")
     if problem.region_coverage or problem.weights is not None:
-        since = clock()
 
         def solve_single(single: CoverProblem, share: float) -> Cover:
-            left = None if time_limit_s is None else max(time_limit_s - (clock() - since), 0.0)
             effort = int(share * (DEFAULT_EFFORT if effort_budget is None else effort_budget))
-            return solve(
-                single, rng=rng, solver=solver, start=start, effort_budget=effort, time_limit_s=left, clock=clock
-            )
+            return solve(single, rng=rng, solver=solver, start=start, effort_budget=effort)
 
         return _solve_regions(problem, solve_single, start)
-    budget = Budget(DEFAULT_EFFORT if effort_budget is None else effort_budget, time_limit_s, clock)
+    budget = Budget(DEFAULT_EFFORT if effort_budget is None else effort_budget)
     form = canonical_form(problem)
     reduced, residual = form.reduced, form.residual
     if effort_budget is None:
@@ -232,7 +223,8 @@ def _with_bounds(regions: _Regions, single: Cover, bounds: list[Cover]) -> Cover
         cost_bound = min(max(each.cost_bound for each in bounds), cost)
         cost_and_bound = (cost, cost_bound)
         is_proven = cost_bound >= cost * (1 - 1e-9)
-    ended = [each.status for each in bounds if each.status in (CoverStatus.INTERRUPTED, CoverStatus.TIME_LIMITED)]
-    status = CoverStatus.PROVEN if is_proven else ended[0] if ended else CoverStatus.BOUNDED
+    is_interrupted = any(each.status is CoverStatus.INTERRUPTED for each in bounds)
+    ended = CoverStatus.INTERRUPTED if is_interrupted else CoverStatus.BOUNDED
+    status = CoverStatus.PROVEN if is_proven else ended
     effort = sum(each.effort for each in bounds)
     return replace(answer, lower_bound=lower_bound, cost_and_bound=cost_and_bound, status=status, effort=effort)

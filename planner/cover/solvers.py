@@ -49,7 +49,7 @@ class SolverTask:
     Attributes:
         instance: the problem.
         rng: random draws.
-        budget: effort, clock, incumbent, lower bound.
+        budget: effort, incumbent, lower bound.
         relaxation: the bound and its multipliers.
     """
 

@@ -47,7 +47,7 @@ NEAR = 0.1
 """Gap of incumbent and bound, as a share of the cost, from which the tree asks for the smallest improvement."""
 
 CHUNK_EFFORT = 5_000_000
-"""Effort between two checks of the clock: about 10 ms."""
+"""Effort between two checks of Ctrl-C and the budget: about 10 ms."""
 
 TOUCH_EFFORT = 0.4
 """Charge of a unit counted by a tree: a sum in the near CPU cache."""

@@ -4,6 +4,7 @@ scipy's `Rotation` goes through quaternions and rounds differently; these formul
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from planner.values import Floats
 
@@ -39,9 +40,18 @@ def pose_difference(T_a: Floats, T_b: Floats) -> tuple[float, float]:
     return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(np.arctan2(sine, np.trace(R) - 1))
 
 
+def rigid_transform(R: ArrayLike, t: ArrayLike) -> Floats:
+    """Return the transform (4, 4) with a rotation (3, 3) and a translation (3,) [m]."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T
+
+
+def translation(t: ArrayLike) -> Floats:
+    """Return the transform (4, 4) by a translation (3,) [m]."""
+    return rigid_transform(np.eye(3), t)
+
+
 def inverse_rigid(T: Floats) -> Floats:
     """Return the inverse (4, 4) of a rigid transform."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
+    return rigid_transform(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])

@@ -3,25 +3,22 @@
 Coverage is a sum of the areas of samples of the *reference* mesh (Section 3.2). Object frame, metres.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.mesh import TriangleMesh
-from planner.values import Floats, Ints, Ints32, Value
+from planner.values import Floats, Ints, Ints32, Rows
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread
-_ARRAYS = ("points", "normals", "areas", "face", "planning_face")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceSamples(Value):
+class SurfaceSamples(Rows):
     """Samples of the part's surface.
 
     Attributes:
@@ -39,9 +36,6 @@ class SurfaceSamples(Value):
     face: Annotated[Ints32, "S"]
     planning_face: Annotated[Ints32, "S"]
     region: Annotated[Ints32, "S"] | None = None
-
-    def __len__(self) -> int:
-        return len(self.points)
 
 
 def draw_samples(
@@ -110,16 +104,3 @@ def _morton_order(points: Floats) -> Ints:
             cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)  # interleave the bits of the coordinates
         code |= cells << np.uint32(number)
     return np.argsort(code, kind="stable")
-
-
-def pick_samples(samples: SurfaceSamples, which: NDArray[Any]) -> SurfaceSamples:
-    """Return some of the samples, given as (S,) bool or as indices, with unchanged areas."""
-    arrays = {name: getattr(samples, name)[which] for name in _ARRAYS}
-    return SurfaceSamples(**arrays, region=None if samples.region is None else samples.region[which])
-
-
-def join_samples(samples: Sequence[SurfaceSamples]) -> SurfaceSamples:
-    """Concatenate samples of the same two meshes, with unchanged areas."""
-    arrays = {name: np.concatenate([getattr(each, name) for each in samples]) for name in _ARRAYS}
-    regions = [each.region for each in samples if each.region is not None]
-    return SurfaceSamples(**arrays, region=np.concatenate(regions) if regions else None)

@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.geometry.rigid import inverse_rigid
+from planner.geometry.rigid import inverse_rigid, rigid_transform
 from planner.kinematics.closed_form import BRANCHES, Dimensions, ParallelAxes, ParallelLengths, SphericalWrist
 from planner.ports import JointLimits
 from planner.values import Floats, Value
@@ -185,7 +185,7 @@ def _small_motion(twist: Floats) -> Floats:
     """Return (4, 4) translation by twist[:3] and rotation by the vector twist[3:]."""
     angle = float(np.linalg.norm(twist[3:]))
     R = np.eye(3) if angle == 0.0 else axis_rotations(twist[3:] / angle, np.array([angle]))[0]
-    return _pose(R, twist[:3])
+    return rigid_transform(R, twist[:3])
 
 
 def _spherical_wrist(chain: Chain) -> Fit | None:
@@ -200,7 +200,7 @@ def _spherical_wrist(chain: Chain) -> Fit | None:
     x = np.cross(y, z)
     if (ahead := float((p[1] - foot) @ x)) < -1e-6 or (abs(ahead) <= 1e-6 and (wrist - foot) @ x < 0.0):
         x, y = -x, -y
-    root = _pose(np.stack((x, y, z), axis=1), foot)
+    root = rigid_transform(np.stack((x, y, z), axis=1), foot)
     shoulder, elbow, centre = ((point - foot) @ np.stack((x, y, z), axis=1) for point in (p[1], p[2], wrist))
     upper, fore = elbow - shoulder, centre - elbow
     lift = float(np.arctan2(-upper[2], upper[0]))
@@ -265,7 +265,7 @@ def _parallel_axes(chain: Chain) -> Fit | None:
     t5 = float(np.arctan2(-(sixth @ turned[:, 0]), sixth @ turned[:, 1]))  # Rz(t5) y = (-sin, cos, 0)
     signs = np.array([w[0] @ z, w[1] @ y, w[2] @ y, w[3] @ y, w[4] @ (R @ fifth), w[5] @ sixth])
     offsets = np.array([0.0, t2, t23 - t2, phi - t23, t5, 0.0])
-    return _closed("three parallel axes", ParallelAxes(lengths), _pose(R, foot), signs, offsets, chain)
+    return _closed("three parallel axes", ParallelAxes(lengths), rigid_transform(R, foot), signs, offsets, chain)
 
 
 def _closed(
@@ -295,12 +295,6 @@ def nearest_point(directions: Floats, points: Floats) -> Floats:
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     nearest: Floats = np.linalg.lstsq(across.sum(axis=0), (across @ points[..., None]).sum(axis=0)[:, 0], rcond=None)[0]
     return nearest
-
-
-def _pose(R: Floats, origin: Floats) -> Floats:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, origin
-    return T
 
 
 def pose_error(T: Floats, target: Floats) -> Floats:

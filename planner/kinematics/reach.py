@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import PlannerError
 from planner.geometry.rigid import inverse_rigid
 from planner.kinematics.setpoints import Setpoints, first_setpoints, setpoints
-from planner.ports import CollisionChecker, Kinematics, Progress
+from planner.ports import CollisionChecker, Kinematics, Progress, no_progress
 from planner.values import Bools, DescribedEnum, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -93,7 +93,7 @@ def solve_reach(
     kinematics: Kinematics,
     checker: CollisionChecker,
     *,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Reach:
     """Compute verdict and all free set-points of each viewpoint, for one placement of the part.
 
@@ -130,8 +130,7 @@ def solve_reach(
         is_reachable = verdict[owner] == Verdict.REACHABLE
         free_q.append(q[is_reachable])
         free_count[chunk] = np.bincount(owner[is_reachable] - chunk[0], minlength=len(chunk))
-        if progress is not None:
-            progress(int(chunk[-1]) + 1, total)
+        progress(int(chunk[-1]) + 1, total)
     offsets = np.concatenate(([0], np.cumsum(free_count)))
     return Reach(verdict, np.concatenate(free_q) if free_q else np.empty((0, axes)), offsets, tuple(blocker))
 

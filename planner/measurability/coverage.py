@@ -19,7 +19,7 @@ from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.visibility import find_measured
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats, Value
 
 N_SAMPLES = 100_000
@@ -58,7 +58,7 @@ def visible_coverage(
     scanner: Scanner,
     casters: Sequence[RayCaster],
     *,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Coverage:
     """Compute visible coverage of planned or executed views; the arguments are those of `find_measured`."""
     return _coverage(find_measured(T_object_scanner, samples, scanner, casters, progress=progress), samples)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.geometry.sampling import SurfaceSamples, join_samples
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools, Ints, Ints32, Value, freeze
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def append_rows(measurability: Measurability, more: Measurability, spread: Surfa
     if (measurability.sigma is None) != (more.sigma is None):
         raise PlannerError("only one of the matrices has a layer of sigma; calculate it for both")
     samples_before, new = measurability.samples, more.samples
-    samples = join_samples([samples_before, new])
+    samples = SurfaceSamples.join([samples_before, new])
     piece, piece_of_spread = _piece_numbers(samples, spread)
     count = np.bincount(piece)
     area = np.bincount(piece_of_spread, weights=spread.areas, minlength=len(count))[: len(count)]

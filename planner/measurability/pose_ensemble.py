@@ -23,7 +23,7 @@ from planner.geometry.rigid import rotation_matrices
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import find_measured
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
 from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view, visible_pairs
 from planner.viewpoints.viewpoints import Viewpoints
@@ -129,7 +129,7 @@ def probability_layer(
     errors: Floats,
     *,
     columns: Bools | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> ProbabilityLayer:
     """Count for each entry the members of an ensemble that measure the sample.
 
@@ -164,8 +164,7 @@ def probability_layer(
         for _, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of):
             hit[np.searchsorted(keys, pose // K * len(targets) + row)] = True
         hits[by_column.data[hit]] += 1
-        if progress:
-            progress(member, len(errors))
+        progress(member, len(errors))
     return ProbabilityLayer(M.indptr, M.indices, hits, len(errors))
 
 
@@ -176,7 +175,7 @@ def simulate_executions(
     casters: Sequence[RayCaster],
     errors: Floats,
     *,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> tuple[Ints32, Floats]:
     """Simulate executions of a plan with pose errors, and count how often each sample is measured.
 
@@ -197,6 +196,5 @@ def simulate_executions(
         is_measured = find_measured(T_object_scanner @ error[:, None], samples, scanner, casters)
         times += is_measured
         share[number] = samples.areas[is_measured].sum() / samples.areas.sum()
-        if progress:
-            progress(number + 1, len(errors))
+        progress(number + 1, len(errors))
     return times, share

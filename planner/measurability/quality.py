@@ -68,37 +68,14 @@ class LimitedScanner:
                 )
 
     def __getattr__(self, name: str) -> Any:
-        """Return further attributes of the scanner, such as the poses of its sweep."""
+        """Return the other attributes of a `SigmaScanner`, and further ones such as the poses of its sweep."""
         if name in ("scanner", "max_sigma", "regions"):  # not set yet
             raise AttributeError(name)
         return getattr(self.scanner, name)
 
     @property
-    def source(self) -> Floats:
-        """(3,) laser source [m], scanner frame."""
-        return self.scanner.source
-
-    @property
-    def sensor(self) -> Floats:
-        """(3,) sensor [m], scanner frame."""
-        return self.scanner.sensor
-
-    @property
-    def grid_shape(self) -> tuple[int, int]:
-        """(n_v, n_h) rays of one scan."""
-        return self.scanner.grid_shape
-
-    @property
     def area_limits(self) -> None:
         """None: the quality limits are further conditions (`planner.ports.AreaLimits`)."""
-
-    def ray_directions(self) -> Floats:
-        """Return (n_v * n_h, 3) unit directions of the rays, scanner frame, row by row."""
-        return self.scanner.ray_directions()
-
-    def sigma(self, points: Floats, normals: Floats) -> Floats:
-        """Return (N,) the scanner's expected standard deviation [m]; arguments as in `reject`."""
-        return self.scanner.sigma(points, normals)
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
         """Return (N,) `Rejection` values: the scanner's own conditions, then TOO_UNCERTAIN.

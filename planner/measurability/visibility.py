@@ -21,7 +21,7 @@ from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.ports import Progress, RayCaster, Rejection, Scanner
+from planner.ports import Progress, RayCaster, Rejection, Scanner, no_progress
 from planner.values import Bools, Floats, Ints, Ints32, readonly
 from planner.viewpoints.lines_of_sight import (
     BUNDLE,
@@ -52,7 +52,7 @@ def fill_matrix(
     method: str = "aimed",
     part: TriangleMesh | None = None,
     row_of_face: NDArray[np.integer] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Measurability:
     """Fill M for the part alone; `apply_occluders` takes occluders into account afterwards.
 
@@ -88,7 +88,7 @@ def apply_occluders(
     occluder_caster: RayCaster,
     *,
     ray_caster: RayCaster | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Measurability:
     """Remove the entries that occluders (fixtures, post, floor) hide; only lines of sight of entries are cast.
 
@@ -188,7 +188,7 @@ def find_measured(
     each: bool = False,
     own_occluders: Sequence[RayCaster | None] | None = None,
     among: Bools | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Bools:
     """Return the samples that given views measure: a prediction on samples that the plan did not use.
 
@@ -224,8 +224,7 @@ def find_measured(
         result[row[free], pose[free] // K if each else 0] = True
         if not each:
             still_open = still_open[~result[still_open, 0]]
-        if progress:
-            progress(n_done, len(poses))
+        progress(n_done, len(poses))
     return result if each else result[:, 0]
 
 
@@ -278,9 +277,7 @@ class VisibilityMemo:
         return self._known[key]
 
 
-def _compress(
-    pairs: Pairs, viewpoints: Viewpoints, samples: SurfaceSamples, progress: Progress | None
-) -> Measurability:
+def _compress(pairs: Pairs, viewpoints: Viewpoints, samples: SurfaceSamples, progress: Progress) -> Measurability:
     """Collect pairs column by column and convert them to sparse rows; 4 bytes per entry, twice while converting."""
     from scipy.sparse import csc_array
 
@@ -290,8 +287,7 @@ def _compress(
     for n_done, pose, row in pairs:
         counts += np.bincount(pose // K, minlength=V)
         rows.append(row.astype(np.int32))
-        if progress:
-            progress(n_done, V * K)
+        progress(n_done, V * K)
     indices = np.concatenate(rows) if rows else np.empty(0, dtype=np.int32)
     indptr = np.concatenate([[0], np.cumsum(counts)])
     matrix = csc_array((np.ones(len(indices), np.bool_), indices, indptr), shape=(len(samples), V)).tocsr()

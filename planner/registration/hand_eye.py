@@ -26,6 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.errors import PlannerError
+from planner.geometry.rigid import rigid_transform
 from planner.registration.observability import RigidFit, split_directions
 from planner.registration.rigid import length_scale, motion_from_screw, restricted_covariance, screw_from_motion, skew
 from planner.values import Floats, Value
@@ -88,9 +89,7 @@ def solve_hand_eye(scans: TargetScans, error: PoseError, rng: np.random.Generato
     length = float(np.sqrt((scans.points**2).sum(axis=2).mean()))
     started = []
     for R in _start_rotations(rng):
-        T = np.eye(4)
-        T[:3, :3] = R
-        started.append(_descend(scans, T, length, _FIRST))
+        started.append(_descend(scans, rigid_transform(R, np.zeros(3)), length, _FIRST))
     results = [_descend(scans, T, length, _STEPS) for _, T in sorted(started, key=_cost)[:_PROMISING]]
     results = sorted((_descend(scans, T, length, _STEPS, error) for _, T in results), key=_cost)
     T = results[0][1]

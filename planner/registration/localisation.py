@@ -23,6 +23,7 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
+from planner.geometry.rigid import rigid_transform
 from planner.registration.cloud import ScanCloud
 from planner.registration.observability import RigidFit, split_directions
 from planner.registration.registration import MIN_MATCHES, JointProblem, MovingScan, fit_majority
@@ -363,7 +364,4 @@ def _frame(kind: str, points: Floats) -> Floats:
         )
     x = x / np.linalg.norm(x)
     y = np.cross(z, x)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([x, y, z], axis=1)
-    T[:3, 3] = x * (x @ f) + y * (y @ d) + z * (z @ a)
-    return T
+    return rigid_transform(np.stack([x, y, z], axis=1), x * (x @ f) + y * (y @ d) + z * (z @ a))

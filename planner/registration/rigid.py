@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from planner.geometry.rigid import rigid_transform
 from planner.values import Floats
 
 _UNWIND = 5  # a free screw and the remaining motion do not commute: each pass leaves a fraction of what it removes
@@ -43,10 +44,7 @@ def motion_from_vector(change: Floats, centre: Floats) -> Floats:
     x, y, z = change[3:] / angle if angle > 0 else np.zeros(3)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    T = np.eye(4)
-    T[:3, :3] = rotation
-    T[:3, 3] = centre + change[:3] - rotation @ centre
-    return T
+    return rigid_transform(rotation, centre + change[:3] - rotation @ centre)
 
 
 def motion_from_screw(screw: Floats, centre: Floats) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.path.path import is_detour, path_time
 from planner.path.sweeps import SweepTraversal
-from planner.ports import CollisionChecker, JointLimits, Progress
+from planner.ports import CollisionChecker, JointLimits, Progress, no_progress
 from planner.timing.limits import require_inside, require_usable
 from planner.tour.orderings import Ordering, order_views
 from planner.tour.roadmap import Roadmap
@@ -103,7 +103,7 @@ def plan_tour(
     limits: JointLimits,
     rng: np.random.Generator,
     budget: MotionBudget = DEFAULT_BUDGET,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     *,
     ordering: Ordering = order_views,
 ) -> Tour:

@@ -95,7 +95,7 @@ class TourSearch:
         seed: int,
         budget: MotionBudget,
         ordering: Ordering,
-        progress: Progress | None,
+        progress: Progress,
     ) -> None:
         self.roadmap, self.visits, self.limits = roadmap, visits, limits
         self.seed, self.budget, self.ordering, self.progress = seed, budget, ordering, progress
@@ -308,8 +308,7 @@ class TourSearch:
 
     def report(self, edges: list[Edge]) -> None:
         """Report the number of real edges of the tour."""
-        if self.progress is not None:
-            self.progress(sum(self.roadmap.path(a, b) is not None for a, b in edges), len(edges))
+        self.progress(sum(self.roadmap.path(a, b) is not None for a, b in edges), len(edges))
 
 
 def _smallest(values: Floats, count: int) -> Ints:

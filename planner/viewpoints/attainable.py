@@ -69,7 +69,7 @@ def probe_attainable(targets: RayTargets, evaluator: ViewEvaluator) -> Attainabl
                 visible[poses.row] = True
                 poses = _first_reachable(poses, evaluator)
                 measured[poses.row] = True
-                known = known.extend(poses)
+                known = AimedPoses.join([known, poses])
                 still_open = np.flatnonzero(~measured)
                 few = evaluator.views(poses.pick(np.arange(min(len(poses), _SHARED))))
                 measured[still_open] = evaluator.measured(few, targets, still_open).any(axis=1)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.ports import Progress, RayCaster, Scanner
+from planner.ports import Progress, RayCaster, Scanner, no_progress
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix, lines_of_sight_free
 from planner.viewpoints.pose_sampling import (
@@ -127,7 +127,7 @@ def grow(
     *,
     schedule: Sequence[SearchStage] = SCHEDULE,
     multiplicity: int = MULTIPLICITY,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> AimedPoses:
     """Grow viewpoints for the open points.
 
@@ -149,8 +149,7 @@ def grow(
             gain = 1.0
         if gain >= _MIN_GAIN and (len(search.known) or not stage.transfer):
             gain = search.execute(stage)
-        if progress:
-            progress(number + 1, len(schedule))
+        progress(number + 1, len(schedule))
     return AimedPoses(evaluator.views(search.known), search.known.row)
 
 
@@ -200,7 +199,7 @@ class _Growth:
         measured = self.evaluator.measured(self.evaluator.views(aimed), self.targets, rows)
         selection = _select_greedily(measured, self.multiplicity - self.count[rows])
         self.count[rows] += np.minimum(measured[:, selection].sum(axis=1), self.multiplicity - self.count[rows])
-        self.known = self.known.extend(aimed.pick(selection))
+        self.known = AimedPoses.join([self.known, aimed.pick(selection)])
 
 
 def _select_greedily(measured: Bools, demand: Ints) -> Ints:

@@ -27,7 +27,7 @@ import numpy as np
 
 from planner.geometry.rigid import rotation_matrices
 from planner.ports import RayCaster, Rejection, Scanner
-from planner.values import Bools, Floats, Ints, Value
+from planner.values import Bools, Floats, Ints, Rows, Value
 from planner.viewpoints.lines_of_sight import RayTargets, lines_of_sight_free, rejections
 
 _ROOT = 1.1127756842787055  # of g^7 = g + 1
@@ -59,7 +59,7 @@ class Frustum(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AimedPoses(Value):
+class AimedPoses(Rows):
     """Poses of the scanner, each aimed at a point.
 
     Attributes:
@@ -69,18 +69,6 @@ class AimedPoses(Value):
 
     T_object_scanner: Annotated[Floats, "n 4 4"]
     row: Annotated[Ints, "n"]
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-    def pick(self, which: Ints | Bools) -> "AimedPoses":
-        """Return some of the poses."""
-        return AimedPoses(self.T_object_scanner[which], self.row[which])
-
-    def extend(self, other: "AimedPoses") -> "AimedPoses":
-        """Return these poses followed by others."""
-        T = np.concatenate([self.T_object_scanner, other.T_object_scanner])
-        return AimedPoses(T, np.concatenate([self.row, other.row]))
 
 
 NO_POSES = AimedPoses(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))

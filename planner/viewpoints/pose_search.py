@@ -24,7 +24,8 @@ from scipy.sparse import csr_array
 from planner.compiled import compiled
 from planner.geometry.rigid import rotation_matrices
 from planner.interrupts import deferred_interrupt, raise_interrupt
-from planner.values import Bools, Floats, Ints, Ints32, Value
+from planner.ports import no_progress
+from planner.values import Bools, Floats, Ints, Ints32, Rows
 
 EFFORTS = {"low": 12_000, "normal": 48_000, "high": 800_000}
 """Poses that a search evaluates."""
@@ -75,7 +76,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SearchPoses(Value):
+class SearchPoses(Rows):
     """Poses of n views.
 
     Attributes:
@@ -92,16 +93,6 @@ class SearchPoses(Value):
     moved: Annotated[Bools, "n"]
     place: Annotated[Ints, "n"]
 
-    def __len__(self) -> int:
-        return len(self.origin)
-
-    def pick(self, which: Ints | Bools) -> "SearchPoses":
-        """Return some of the poses."""
-        return SearchPoses(
-            self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which],
-            self.place[which],
-        )  # fmt: skip
-
     def with_poses(self, views: Ints, T_object_scanner: Floats) -> "SearchPoses":
         """Return the poses with some views moved to poses (n, 4, 4) [m] near their own."""
         T, moved = self.T_object_scanner.copy(), self.moved.copy()
@@ -111,18 +102,7 @@ class SearchPoses(Value):
     def with_view(self, view: int, other: "SearchPoses") -> "SearchPoses":
         """Return the poses with one view replaced by a single other one."""
         parts = (self.pick(np.arange(view)), other, self.pick(np.arange(view + 1, len(self))))
-        return join_poses(parts)
-
-
-def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
-    """Concatenate poses."""
-    return SearchPoses(
-        np.concatenate([part.T_object_scanner for part in parts]),
-        np.concatenate([part.distance for part in parts]),
-        np.concatenate([part.origin for part in parts]),
-        np.concatenate([part.moved for part in parts]),
-        np.concatenate([part.place for part in parts]),
-    )
+        return SearchPoses.join(parts)
 
 
 SearchProgress = Callable[[int, int, int], None]
@@ -158,7 +138,7 @@ def search_poses(
     effort: int,
     rng: np.random.Generator,
     pool_measured: Bools | None = None,
-    progress: SearchProgress | None = None,
+    progress: SearchProgress = no_progress,
 ) -> SearchResult:
     """Search fewer views than the initial ones.
 
@@ -199,7 +179,7 @@ class _Search:
 
     def __init__(
         self, pool: SearchPoses, places: Sequence[Place], weights: Floats, effort: int, rng: np.random.Generator,
-        pool_measured: Bools | None, progress: SearchProgress | None,
+        pool_measured: Bools | None, progress: SearchProgress,
     ) -> None:  # fmt: skip
         self.pool, self.places, self.weights = pool, places, weights
         self.effort, self.rng, self.progress = effort, rng, progress
@@ -280,8 +260,7 @@ class _Search:
 
     def _report(self, n_views: int) -> None:
         raise_interrupt()
-        if self.progress:
-            self.progress(min(self.evaluated, self.effort), self.effort, n_views)
+        self.progress(min(self.evaluated, self.effort), self.effort, n_views)
 
     def _set(self, views: SearchPoses, measured: Bools) -> None:
         self.views, self.measured = views, measured.copy()

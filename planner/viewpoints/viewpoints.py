@@ -32,13 +32,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.values import Bools, Floats, Ints32, Value, readonly
+from planner.values import Floats, Ints32, Rows, readonly
 
 _ALONG_Z = 1e-3  # sine below which a view counts as along z: a flat top's normals scatter by less in a float32 mesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Viewpoints(Value):
+class Viewpoints(Rows):
     """Candidate viewpoints.
 
     Attributes:
@@ -52,9 +52,6 @@ class Viewpoints(Value):
     face: Annotated[Ints32, "V"]
     standoff: Annotated[Floats, "V"]
     roll: Annotated[Floats, "V"]
-
-    def __len__(self) -> int:
-        return len(self.T_object_scanner)
 
 
 def aim_viewpoints(
@@ -102,23 +99,6 @@ def viewpoints_from_poses(T_object_scanner: Floats, aim: Floats, face: NDArray[n
         np.asarray(face, dtype=np.int32),
         np.linalg.norm(aim - T_object_scanner[:, :3, 3], axis=1),
         np.arctan2(across, along) % (2 * np.pi),
-    )
-
-
-def join_viewpoints(parts: Sequence[Viewpoints]) -> Viewpoints:
-    """Concatenate viewpoints with the same number of poses each."""
-    return Viewpoints(
-        np.concatenate([part.T_object_scanner for part in parts]),
-        np.concatenate([part.face for part in parts]),
-        np.concatenate([part.standoff for part in parts]),
-        np.concatenate([part.roll for part in parts]),
-    )
-
-
-def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | Bools) -> Viewpoints:
-    """Return some viewpoints: (n,) rows in the wanted order, or (V,) bool."""
-    return Viewpoints(
-        viewpoints.T_object_scanner[which], viewpoints.face[which], viewpoints.standoff[which], viewpoints.roll[which]
     )
 
 

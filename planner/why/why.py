@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.ports import Progress, RayCaster, Rejection, Scanner
+from planner.ports import Progress, RayCaster, Rejection, Scanner, no_progress
 from planner.values import DescribedEnum, Floats, Ints, Value, readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, RayTargets, flatten_poses, rejections
 from planner.viewpoints.viewpoints import Viewpoints
@@ -93,7 +93,7 @@ def diagnose(
     casters: Sequence[RayCaster],
     fails: NDArray[np.uint8],
     *,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Diagnosis:
     """Find the cause of uncovered points.
 
@@ -126,11 +126,10 @@ def diagnose(
             search.retire(int(last[pose]))
             previous = int(last[pose])
         search.check(int(pose), float(standoff[pose]))
-        if progress and n_done % 32 == 31:
+        if n_done % 32 == 31:
             progress(n_done + 1, len(poses))
     search.cast()
-    if progress:
-        progress(len(poses), len(poses))
+    progress(len(poses), len(poses))
     return _with_angles(targets, rows, poses, scanner, search.best, search.pose)
 
 

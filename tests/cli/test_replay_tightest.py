@@ -66,7 +66,7 @@ def test_both_points_and_their_line_are_in_the_picture(planned: Path, playback: 
     assert (np.abs(columns - _SIZE[0] / 2) < 40).all()
     assert (np.abs(rows - _SIZE[1] / 2) < 40).all()
     assert (far > 0).all()
-    write_picture(PictureInputs(playback, cell, part, ()), tmp_path / "p.png", _SIZE, tightest.time)
+    write_picture(PictureInputs(playback, cell, part, ()), tmp_path / "p.png", ReplayOptions(size=_SIZE), tightest.time)
     image = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
     red = (image[..., 0] > image[..., 1] + 50) & (image[..., 0] > image[..., 2] + 50)
     assert red[_SIZE[1] // 2 - 40 : _SIZE[1] // 2 + 40, _SIZE[0] // 2 - 40 : _SIZE[0] // 2 + 40].sum() > 20

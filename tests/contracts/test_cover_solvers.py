@@ -26,7 +26,7 @@ def instance(seed: int, n_rows: int = 60, n_columns: int = 40, density: float = 
 
 def run(M: Any, areas: Any, solver: str, coverage: float = 1.0, **options: Any) -> Cover:
     """Solve with a fresh generator and the tests' budget; check the answer."""
-    of_solve = {key: options.pop(key) for key in ("effort_budget", "time_limit_s", "clock", "start") if key in options}
+    of_solve = {key: options.pop(key) for key in ("effort_budget", "start") if key in options}
     problem = CoverProblem(M, areas, coverage=coverage, **options)
     cover = solve(problem, rng=np.random.default_rng(5), solver=solver, **{"effort_budget": EFFORT} | of_solve)
     assert_consistent(problem, cover)
@@ -92,30 +92,6 @@ def test_the_optimum_is_kept_as_start_and_unusable_starts_are_ignored(solver: st
     for start in (best.views[:1], np.arange(M.shape[1]), np.zeros(0, dtype=np.int64)):
         assert best.views[0] not in run(M, areas, solver, coverage, start=start, banned=[int(best.views[0])]).views
     assert len(run(M, areas, solver, max_views=3, start=np.arange(10)).views) <= 3
-
-
-@pytest.mark.parametrize("options", [{}, {"max_views": 10}], ids=["full", "area"])
-def test_a_time_limit_stops_the_search_and_is_reported(solver: str, options: dict[str, Any]) -> None:
-    """A limit of 0 s still gives a cover and a bound."""
-    M, areas = instance(4, 300, 200, 0.05)
-    ticks = count()
-    limits = {"time_limit_s": 0.0, "clock": lambda: 0.5 * next(ticks), "effort_budget": 10**12}
-    cover = run(M, areas, solver, **options, **limits)
-    assert cover.status is CoverStatus.TIME_LIMITED
-    assert cover.sentence.startswith("the time limit stopped the search; at most")
-    assert cover.lower_bound >= 1 or options
-
-
-def test_one_time_limit_holds_for_both_searches_of_connected_views() -> None:
-    """The cover without the constraint uses a share of the same time limit."""
-    rng = np.random.default_rng(5)
-    M = rng.random((150, 300)) < 0.05
-    M[:, 0] |= ~M.any(axis=1)
-    ticks = count()
-    limits = {"effort_budget": 10**12, "time_limit_s": 20.0, "clock": lambda: float(next(ticks))}
-    cover = run(M, np.ones(150), "auto", overlap=Overlap(area=2.0), **limits)
-    assert next(ticks) <= 30
-    assert cover.sentence.startswith("the time limit stopped the search; at most")
 
 
 def interrupt_after(n_calls: int, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:

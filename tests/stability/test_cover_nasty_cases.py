@@ -352,12 +352,11 @@ def test_a_start_that_is_not_usable_is_not_taken_for_regions() -> None:
         ({"region": [0, 0], "region_coverage": (0.5,), "group": [0, 0], "group_costs": [1.0]}, "cannot be combined"),
         ({"solver": "gready"}, "choose one of"),
         ({"effort_budget": -1}, "budget is -1"),
-        ({"time_limit_s": float("nan")}, "time limit"),
     ],
 )  # fmt: skip
 def test_invalid_input_is_refused(options: dict[str, Any], words: str) -> None:
     """Each message names the value and the valid values."""
-    of_solve = {key: options[key] for key in ("solver", "effort_budget", "time_limit_s") if key in options}
+    of_solve = {key: options[key] for key in ("solver", "effort_budget") if key in options}
     fields = {"matrix": np.eye(2, dtype=bool), "areas": np.ones(2)} | options
     problem = CoverProblem(**{key: value for key, value in fields.items() if key not in of_solve})
     with pytest.raises(PlannerError, match=words):

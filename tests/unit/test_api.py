@@ -13,6 +13,7 @@ import trimesh
 
 from cell.api import edit, explore, open_run, plan, scan, setups
 from cell.errors import FileError, SceneError, UsageError
+from cell.runs import run as run_folders
 from cell.runs.run import Run
 from cell.scan.options import ScanOptions
 from cell.scene.file import load_scene
@@ -81,8 +82,8 @@ def test_a_result_is_one_line_in_a_terminal_and_a_table_in_a_notebook(planned: R
     failed.mkdir()
     manifest = {"schema": planned.manifest.schema_version, "status": "failed", "stage": "reach", "reason": "<no>"}
     (failed / "manifest.json").write_text(json.dumps(manifest))
-    assert repr(Run.open(failed)) == f"Run({str(failed)!r}, status failed in the stage 'reach': <no>)"
-    assert Run.open(failed)._repr_html_().endswith("&lt;no&gt;</td></tr></table>")
+    assert repr(run_folders.open_run(failed)) == f"Run({str(failed)!r}, status failed in the stage 'reach': <no>)"
+    assert run_folders.open_run(failed)._repr_html_().endswith("&lt;no&gt;</td></tr></table>")
 
 
 def test_meshes_are_of_trimesh(planned: Run) -> None:

@@ -8,8 +8,6 @@ import pytest
 
 from planner.cover import CoverProblem, CoverStatus, solve
 from planner.cover.budget import LARGE, Budget, interruptible, scaled_effort
-from planner.cover.reductions import canonical_form
-from planner.cover.search import CHUNK_EFFORT, LocalSearch, greedy
 
 
 def test_portions_of_effort_nest() -> None:
@@ -29,19 +27,6 @@ def test_budgets_grow_only_with_large_matrices() -> None:
     assert [scaled_effort(400, n) for n in (0, LARGE // 2, LARGE, 3 * LARGE)] == [400, 400, 400, 1200]
 
 
-def test_the_time_is_divided_like_the_effort() -> None:
-    """A portion of the effort has the same portion of the seconds. Its limit does not end the outer time."""
-    now = [0.0]
-    budget = Budget(100, time_limit_s=10.0, clock=lambda: now[0])
-    with budget.portion(0.5):
-        assert budget.remaining_seconds == pytest.approx(5.0)
-        now[0] = 6.0
-        assert not budget.spend(1)
-    assert budget.time_limited
-    assert budget.remaining_seconds == pytest.approx(4.0)
-    assert budget.spend(1)
-
-
 def test_the_incumbent_is_the_smallest_and_proven_by_the_bound() -> None:
     """The smallest cover is kept. Once the bound proves it, no effort is granted."""
     budget = Budget(100)
@@ -52,19 +37,6 @@ def test_the_incumbent_is_the_smallest_and_proven_by_the_bound() -> None:
     assert budget.offer(np.arange(3), 3)
     assert budget.is_proven
     assert not budget.spend(0)
-
-
-def test_a_search_exceeds_its_time_limit_by_one_chunk() -> None:
-    """The search ends at the first check after the time limit."""
-    rng = np.random.default_rng(0)
-    instance = canonical_form(CoverProblem(rng.random((200, 300)) < 0.03, np.ones(200))).reduced
-    ticks = iter([0.0, *[0.5] * 3, *[2.0] * 1000])
-    budget = Budget(10**12, time_limit_s=1.0, clock=lambda: next(ticks))
-    first, _ = greedy(instance)
-    budget.offer(first, len(first))
-    LocalSearch(instance, first, rng).run(budget)
-    assert budget.time_limited
-    assert budget.spent <= 4 * CHUNK_EFFORT
 
 
 def test_interruptible_returns_results_and_raises_errors() -> None:

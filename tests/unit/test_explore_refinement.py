@@ -14,7 +14,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import find_measured
 from planner.viewpoints.growth import ViewEvaluator
-from planner.viewpoints.viewpoints import aim_viewpoints, join_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints
 
 _GROWN, _NOT = (SimpleNamespace(plan=SimpleNamespace(candidates=kind)) for kind in ("grown", "view-sphere"))
 
@@ -46,7 +46,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 
 def _append(problem: SimpleNamespace, views: object) -> SimpleNamespace:
-    return SimpleNamespace(**vars(problem) | {"candidates": join_viewpoints([problem.candidates, views])})
+    return SimpleNamespace(**vars(problem) | {"candidates": Viewpoints.join([problem.candidates, views])})
 
 
 def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleNamespace) -> None:

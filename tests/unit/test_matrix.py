@@ -16,7 +16,7 @@ from cell.world.measurability import PartSurface, cache_folder, part_matrix
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples, samples_at_face_centres
 from planner.measurability.visibility import fill_matrix
-from planner.viewpoints.viewpoints import optimal_scanning_zone, pick_viewpoints
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_only_new_columns_are_computed(measured, method):
     total = len(measured.views)
     seen: set[int] = set()
     for which in (np.arange(40), np.arange(60), rng.permutation(50), np.arange(55, total), rng.permutation(total)):
-        views = pick_viewpoints(measured.views, which)
+        views = measured.views.pick(which)
         M, calculated = measured(views, method=method)
         assert calculated == len(set(which.tolist()) - seen)
         seen |= set(which.tolist())
@@ -79,11 +79,11 @@ def test_a_file_does_not_grow_without_end(measured, monkeypatch):
     """Beyond a multiple of the columns of one run, the file is rewritten with the columns of this run."""
     monkeypatch.setattr(measurability, "_MAX_COLUMN_RATIO", 2)
     for start in (0, 10, 20, 30):
-        measured(pick_viewpoints(measured.views, np.arange(start, start + 10)))
+        measured(measured.views.pick(np.arange(start, start + 10)))
     (path,) = cache_folder().iterdir()
     with np.load(path) as stored:
         assert stored["shape"][1] <= 20
-    assert measured(pick_viewpoints(measured.views, np.arange(30, 40)))[1] == 0
+    assert measured(measured.views.pick(np.arange(30, 40)))[1] == 0
 
 
 def test_without_the_cache_nothing_is_stored(measured):

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
-from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples, samples_at_face_centres
+from planner.geometry.sampling import SurfaceSamples, draw_samples, samples_at_face_centres
 from planner.measurability.matrix import Measurability, append_rows
 from planner.measurability.visibility import any_unoccluded, apply_occluders, fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
@@ -55,7 +55,7 @@ def test_faces_map_to_rows_and_minus_one_to_none(cube):
     rows = np.repeat(np.arange(6), 2)
     rows[rows == 3] = -1
     samples = samples_at_face_centres(mesh, mesh)
-    picked = pick_samples(samples, np.arange(0, len(samples), 2))
+    picked = samples.pick(np.arange(0, len(samples), 2))
     result = fill_matrix(views, picked, SCANNER, caster, method="rays", part=mesh, row_of_face=rows)
     assert np.diff(result.indptr).tolist() == [4, 4, 4, 0, 4, 4]
 

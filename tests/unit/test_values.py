@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from planner import values
 from planner.errors import PlannerError
 from planner.values import Floats, Ints, Value, freeze, readonly
 
@@ -23,6 +24,12 @@ class Motion(Value):
     square: Annotated[Floats, "m m"]
     anything: Annotated[NDArray[np.bool_], "_ 2"]
     sigma: Annotated[NDArray[np.float32], "n"] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Items(values.Rows):
+    place: Annotated[Floats, "n 3"]
+    region: Annotated[Ints, "n"] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +121,21 @@ def test_a_single_array_has_the_same_messages() -> None:
         readonly("ends", [np.nan], (1,))
 
 
+def test_items_are_picked_and_joined_by_their_rows() -> None:
+    """Every array has the rows of the items; an array that no part has stays None, one that some lack is refused."""
+    places = np.arange(12.0).reshape(4, 3)
+    items = Items(places, np.array([0, 1, 2, 3]))
+    picked = items.pick(np.array([2, 0]))
+    assert len(items) == 4
+    np.testing.assert_array_equal(picked.place, places[[2, 0]])
+    np.testing.assert_array_equal(picked.region, [2, 0])
+    np.testing.assert_array_equal(items.pick(items.place[:, 0] > 5).region, [2, 3])
+    np.testing.assert_array_equal(Items.join([picked, items]).region, [2, 0, 0, 1, 2, 3])
+    assert Items.join([Items(places), Items(places)]).region is None
+    with pytest.raises(PlannerError):
+        Items.join([Items(places), items])
+
+
 def test_classes_with_shapes_derive_from_value_and_freeze() -> None:
     """In cell and planner each class with shapes derives from `Value`, and each `__post_init__` calls `freeze`."""
     found = 0
@@ -125,6 +147,7 @@ def test_classes_with_shapes_derive_from_value_and_freeze() -> None:
                 own = [ast.unparse(part) for part in node.body if getattr(part, "name", "") == "__post_init__"]
                 if any("Annotated[" in kind for kind in types):
                     found += 1
-                    assert "Value" in map(ast.unparse, node.bases), f"{path}: {node.name} must derive from Value"
+                    bases = {ast.unparse(base) for base in node.bases}
+                    assert bases & {"Value", "Rows"}, f"{path}: {node.name} must derive from Value"
                     assert all("freeze(self" in body for body in own), f"{path}: {node.name} must call freeze"
     assert found > 40
