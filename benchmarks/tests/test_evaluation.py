@@ -65,7 +65,7 @@ def test_a_coverage_above_the_coverable_one_needs_as_many_views_as_all_coverable
 def test_the_curve_is_tightened_by_the_fewest_views_for_a_coverage() -> None:
     """The bound is never raised and never below the best selection; `found` views reach the coverage."""
     curve = [(0, 0.0, 0.0), (1, 0.3, 0.35), (2, 0.6, 0.7), (3, 0.7, 0.85), (4, 0.8, 0.9), (5, 0.82, 0.9)]
-    points = [CurvePoint(n_views=n, covered=found, upper_bound=most) for n, found, most in curve]
+    points = [CurvePoint(n_views=n, coverage=found, upper_bound=most) for n, found, most in curve]
     reached, fewest = 0.75, 4
     bound = bounds(points, reached, fewest, 4)
     assert [(at.views, at.found) for at in bound] == [(n, found) for n, found, _ in curve]
