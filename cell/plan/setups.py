@@ -66,6 +66,8 @@ def plan_setups(session: Session[None], scene: Scene, *, options: SetupOptions, 
     """
     options.check(scene)
     first = None if options.first is None else open_finished(Path(options.first))
+    if first is not None and part is None and scene.part == scene_of_run(first).part:
+        part = Workpiece(first.scene.part.name, first.reference, first.scene.part.sha256)
     if options.proposals == 0 and not scene.setup:
         raise UsageError("there is no set-up candidate: give [[setup]] tables in the scene, or a larger --proposals")
     with pipeline.open_run(session, scene, part, with_plots=scene.plan.curve) as run:

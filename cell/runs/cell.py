@@ -268,7 +268,6 @@ def scene_of_run(run: Run, without: Collection[str] = ()) -> Scene:
         scanner["sensor"] = run.report.settings.sensor
     return scene.model_copy(
         update={
-            "part": scene.part.model_copy(update={"units": resolved.part.units}),
             "scanner": scene.scanner.model_copy(update=scanner),
             "plan": scene.plan.model_copy(update={"percent_kept": resolved.plan.percent_kept}),
             # Their selectors are applied already: the run's mesh stores the region of each face.
@@ -328,10 +327,10 @@ def _limits(resolved: ResolvedScene) -> dict[str, object]:
 
 
 def _part(run: Run, resolved: ResolvedScene) -> dict[str, object]:
-    """Return the keys of `[part]`: the name of a built-in part, or the run's own mesh."""
+    """Return the keys of `[part]`: the name of a built-in part, or the run's own mesh, which is in millimetres."""
     if resolved.part.units is None and resolved.part.name in BUILT_IN:
         return {"name": resolved.part.name}
-    return {"path": str((run.folder / "reference.ply").absolute()), "units": resolved.part.units or "mm"}
+    return {"path": str((run.folder / "reference.ply").absolute()), "units": "mm"}
 
 
 def _place(run: Run, fixture: StandingFixture) -> Mapping[str, object]:

@@ -33,6 +33,7 @@ def test_the_first_set_up_is_the_given_plan_with_its_executions(setups_folder: P
     """The first set-up is an exact copy. Its placement is a set-up candidate and is not proposed again."""
     file = json.loads((setups_folder / "setups.json").read_text())
     first = setups_folder / "setups" / "1"
+    assert file["part"] == open_run(planned).scene.part.name
     assert file["selected"][0]["digest"] == open_run(first).digest == open_run(planned).digest
     for path in planned.iterdir():
         if path.is_file():

@@ -71,11 +71,11 @@ def written(
     return _written(tmp_path_factory.mktemp("scene"), part_file, {})
 
 
-def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run, World]:
+def _written(home: Path, part_file: Path, plan: dict[str, object], units: str = "mm") -> tuple[Run, World]:
     trimesh.creation.annulus(20, 40, 60).export(home / "horn.stl")
     (home / "scene.toml").write_text(SCENE)
-    scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}, "plan": plan})
-    part = workpiece.load(part_file, "mm")
+    scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": units}, "plan": plan})
+    part = workpiece.load(part_file, units)
     settled = settle(scene, part)
     world = compile_world(settled.scene, part.reference.vertices, baseline_mm=settled.baseline_mm)
     folder = RunFolder.create(home / "run", [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC))
@@ -126,6 +126,14 @@ def test_a_plan_of_at_most_so_many_views_is_read_back(tmp_path: Path, part_file:
     run, _ = _written(tmp_path, part_file, {"max_views": 3})
     plan = scene_of_run(run).plan
     assert (plan.max_views, plan.coverage) == (3, run.scene.plan.coverage)
+
+
+def test_the_part_of_a_run_has_its_size_whatever_the_unit_of_its_file(tmp_path: Path, part_file: Path) -> None:
+    """The scene of a run names its own mesh in millimetres, so that edits and further set-ups load the same part."""
+    run, _ = _written(tmp_path, part_file, {}, units="cm")
+    part = scene_of_run(run).part
+    again = workpiece.load(part.source, part.units)
+    np.testing.assert_allclose(again.reference.vertices, run.reference.vertices, rtol=0, atol=1e-12)
 
 
 def test_a_changed_cell_is_refused(written: tuple[Run, World], tmp_path: Path) -> None:
