@@ -105,7 +105,8 @@ class LocateResult(JsonTable):
                 "not known: give --point-sd"
                 if precision is None
                 else f"centre {_listed(precision.centre_mm, 4)} mm, turn {_listed(precision.rotation_deg, 5)} deg; "
-                f"worst point of the part {precision.max_point_sd_mm:.4f} mm",
+                f"worst point of the part {precision.max_point_sd_mm:.4f} mm"
+                + (", in the observed directions" if self.free_motions else ""),
             ),
             ("not determined", "\n".join(self.free_motions) or f"nothing (to {self.tolerance_mm:g} mm)"),
         ]

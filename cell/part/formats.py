@@ -1,9 +1,12 @@
-"""Units by the format of a geometry file; imported by the scene model, so without arrays."""
+"""Suffixes and units by the format of a geometry file; imported by the scene model, so without arrays."""
 
 from pathlib import PurePath
 
 STEP = (".stp", ".step")
 """Suffixes of STEP files."""
+
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
+"""Suffixes of the files of parts."""
 
 _STATED = (".3mf", *STEP)  # each file names its unit
 

@@ -19,15 +19,13 @@ import numpy as np
 from cell import files
 from cell.errors import FileError
 from cell.part import cad, glb, three_mf
-from cell.part.formats import STEP
+from cell.part.formats import STEP, SUFFIXES
 from cell.part.polygon_files import read_obj, read_off, read_ply
 from cell.part.polygons import PolygonError, PolygonMesh, triangulate
 from cell.text import decode, lines_of, parse_numbers
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints
-
-SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
 
 _POLYGON_READERS: Mapping[str, Callable[[bytes], PolygonMesh]] = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
 

@@ -443,10 +443,10 @@ def _as_obj(file: Path) -> bytes | None:
     Raises:
         FileError: if the format is not supported, or the mesh is broken.
     """
-    from cell.part import mesh_files  # with its readers only for an arm from a file
+    from cell.part import formats, mesh_files  # with its readers only for an arm from a file
 
     suffix = file.suffix.lower()
-    if suffix in (".stp", ".step") or suffix not in mesh_files.SUFFIXES:
+    if suffix in (".stp", ".step") or suffix not in formats.SUFFIXES:
         raise FileError(
             f"{file} is a robot's mesh of the kind '{file.suffix}', which is not supported; convert it to binary STL"
         )

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from cell.errors import FileError, SceneError, UsageError
 from cell.files import read_bytes
+from cell.part.formats import SUFFIXES
 from cell.scene.model import Part, Scene
 from cell.scene.options import Spell, option_specs, option_values
 from cell.scene.validation import error_messages
@@ -101,6 +102,8 @@ def _part_table(name_or_path: str) -> dict[str, object]:
         return {"name": name_or_path}
     if path.is_dir():
         raise FileError(f"{name_or_path} is a folder; give a mesh file in it")
+    if path.suffix.lower() == ".toml":
+        raise UsageError(f"{name_or_path} is a scene file, not a part; give it with --scene")
     if not path.exists():
         if path.suffix == "" and os.sep not in name_or_path:
             close = difflib.get_close_matches(name_or_path.lower(), BUILT_IN, n=1)
@@ -120,6 +123,8 @@ def _parsed(path: Path) -> dict[str, object]:
     Raises:
         SceneError: if the file cannot be read, or is not the TOML of a scene.
     """
+    if path.suffix.lower() in SUFFIXES:
+        raise SceneError(f"{path} is a part, not a scene; give a TOML file that names it as part.path")
     try:
         content = tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except OSError as error:

@@ -43,8 +43,14 @@ _REQUIRED = {
     "model_type": "a table",
     "model_attributes_type": "a table",
     "dict_type": "a table",
-    "string_pattern_mismatch": "a name of letters, digits, spaces, '_', '-' and '.'",
 }
+_FORMS = {
+    r"^(low|normal|high|\d+)$": "low, normal, high, or a number of poses",
+    r"^#[0-9A-Fa-f]{6}$": "a colour as '#rrggbb'",
+    r"^[A-Z]{1,2}$": "one or two capital letters",
+    r"^[^|\r\n]*$": "a name in one line, without |",
+}
+"""Forms of texts by their pattern; all others are names of files."""
 _KEY = re.compile(r"\b\w+(?:\.\w+)+|^\w+")  # keys in a message: the first word, and words with a dot
 
 
@@ -109,6 +115,9 @@ def _message(detail: ErrorDetails, model: type[BaseModel], lengths: Mapping[tupl
     if kind == "value_error":
         text = str(context["error"])  # a validator of a table names the key itself: ".key is ..."
         return (where + text).removeprefix(".") if text.startswith(".") else f"{where} {text}"
+    if kind == "string_pattern_mismatch":
+        form = _FORMS.get(context["pattern"], "a name of letters, digits, spaces, '_', '-' and '.'")
+        return f"{where} is {_toml(value)}; it must be {form}"
     if kind in _REQUIRED:
         return f"{where} is {_toml(value)}; it must be {_REQUIRED[kind]}"
     return f"{where} is {_toml(value)}, which is not valid"

@@ -90,6 +90,9 @@ def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -
     """A simulated execution gives the planned placement and the report says so. The motion keeps its clearance."""
     found = locate(executed)
     assert found.displacement_mm < 0.01
+    for free, is_limited in (((), False), (("sliding along (0, 0, 1)",), True)):
+        rows = dict(found.model_copy(update={"free_motions": free}).rows())
+        assert rows["standard deviation"].endswith("in the observed directions") == is_limited
     assert any("simulated" in doubt for doubt in found.contradictions)
     assert found.motion_check.keeps_clearance
     nearest = open_run(Path(found.run)).plan.clearance

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from cell.errors import SceneError
+from cell.errors import SceneError, UsageError
 from cell.files import model_file
 from cell.scene.features import CharacteristicTable, FeatureTable
-from cell.scene.file import load_scene
+from cell.scene.file import load_scene, scene_from_options
 from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, PlanSettings, Region, Scene, Setup, pose
 from cell.scene.settle import with_device
 
@@ -137,6 +137,12 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
         ("clearance_mm = -1", "clearance_mm is -1; it must be at least 0"),
         ("clearance_mm = inf", "clearance_mm is inf; it must be a finite number"),
         ("clearance_mm = true", "clearance_mm is true; it must be a number"),
+        ("[plan]\neffort = 'lots'", "plan.effort is 'lots'; it must be low, normal, high, or a number of poses"),
+        ("[[region]]\nname = 'a'\ncolour = 'red'", "region[0].colour is 'red'; it must be a colour as '#rrggbb'"),
+        (
+            "[[feature]]\nname = 'a'\nfaces = [1]\ndatum = 'b'",
+            "feature[0].datum is 'b'; it must be one or two capital letters",
+        ),
     ],
 )
 def test_a_wrong_value_is_named_with_the_valid_ones(tmp_path: Path, text: str, start: str) -> None:
@@ -164,6 +170,14 @@ def test_a_file_that_is_no_toml_has_one_message(tmp_path: Path, content: bytes |
         load_scene(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_a_part_and_a_scene_in_each_others_place_are_named(tmp_path: Path) -> None:
+    """`cell check part.stl` and `cell plan my_cell.toml` are refused with the right place of the file."""
+    with pytest.raises(SceneError, match="is a part, not a scene"):
+        load_scene(tmp_path / "part.STL")
+    with pytest.raises(UsageError, match=r"is a scene file, not a part; give it with --scene"):
+        scene_from_options(None, {}, str(tmp_path / "my_cell.toml"))
 
 
 def test_options_take_precedence_over_the_file(tmp_path: Path) -> None:
