@@ -11,7 +11,8 @@
 | `.stl`, `.obj` | the surface; `.obj` in the colours of the deviation | mm |
 | `.glb` | the surface in the colours of the deviation, with the attribute `_DEVIATION_MM` | m |
 
-The frame is that of the part. A deviation is the signed distance from the reference, positive outside.
+The frame is that of the part; poses are those of the report, registered if the execution is. A deviation is the signed
+distance from the reference, positive outside.
 """
 
 import io
@@ -27,6 +28,7 @@ from cell.metrology import scan_files
 from cell.metrology.scan_files import PosedScan
 from cell.runs import ply
 from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, open_finished, read_execution
+from cell.scan.results import merge_execution
 from cell.view.palette import SIGNED
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.rigid import inverse_rigid
@@ -74,15 +76,16 @@ def write_points(run_folder: Path, out: Path, execution: str = "latest") -> int:
 
 
 def _scans(run: Run, recorded: RecordedExecution) -> list[PosedScan]:
-    """Return the scans of an execution with the deviation of each point [mm]."""
+    """Return the scans of an execution at the poses of its report, with the deviation of each point [mm]."""
     if not any(len(scan.points) for scan in recorded.scans):
         raise FileError(f"{recorded.folder} has no points; scan again")
     nearest = ClosestPointQuery(run.reference)
     scans = []
-    for scan in recorded.scans:
-        deviation = nearest.signed_distance(scan.points) * 1000.0 if len(scan.points) else np.zeros(0)
+    poses = merge_execution(run, recorded, recorded.scans, nearest).poses
+    for scan, T in zip(recorded.scans, poses, strict=True):
         points = transform_points(inverse_rigid(scan.T_reported), scan.points)
-        scans.append(PosedScan(points, scan.T_reported, deviation, _pixels(scan)))
+        deviation = nearest.signed_distance(transform_points(T, points)) * 1000.0 if len(points) else np.zeros(0)
+        scans.append(PosedScan(points, T, deviation, _pixels(scan), scan.stop))
     return scans
 
 
@@ -100,7 +103,7 @@ def _table(scans: list[PosedScan], kind: str) -> bytes:
     """Return points [mm], deviation [mm] and view of scans as CSV or packed PCD."""
     points = np.concatenate([scan.points_in_file for scan in scans]) * 1000.0
     deviation = np.concatenate([np.zeros(len(scan.points)) if scan.values is None else scan.values for scan in scans])
-    view = np.repeat(np.arange(1, len(scans) + 1), [len(scan.points) for scan in scans])
+    view = np.repeat([scan.number for scan in scans], [len(scan.points) for scan in scans])
     if kind == ".csv":
         out = io.StringIO("x_mm,y_mm,z_mm,deviation_mm,view\n")
         out.seek(0, io.SEEK_END)

@@ -36,12 +36,14 @@ class PosedScan:
         T: (4, 4) pose of the scanner in the frame of the file [m].
         values: (P,) of the points; None: none.
         pixels: (P, 2) row and column of each point in the grid of the scan, uint16; None: not organised.
+        number: of the view.
     """
 
     points: Floats
     T: Floats
     values: Floats | None = None
     pixels: NDArray[np.uint16] | None = None
+    number: int = 1
 
     @property
     def points_in_file(self) -> Floats:
@@ -134,7 +136,7 @@ def _write_e57(path: Path, scans: Sequence[PosedScan]) -> None:
 
     pye57 = _package("pye57", path)
     with contextlib.closing(pye57.E57(str(path), mode="w")) as file:
-        for number, scan in enumerate(scans, start=1):
+        for scan in scans:
             data = {f"cartesian{axis}": np.ascontiguousarray(scan.points[:, k]) for k, axis in enumerate("XYZ")}
             if scan.values is not None:
                 data["intensity"] = np.ascontiguousarray(scan.values)
@@ -142,7 +144,7 @@ def _write_e57(path: Path, scans: Sequence[PosedScan]) -> None:
                 data["rowIndex"], data["columnIndex"] = map(np.ascontiguousarray, scan.pixels.T)
             x, y, z, w = Rotation.from_matrix(scan.T[:3, :3]).as_quat()
             file.write_scan_raw(
-                data, name=f"view {number}", rotation=np.array([w, x, y, z]), translation=scan.T[:3, 3].copy()
+                data, name=f"view {scan.number}", rotation=np.array([w, x, y, z]), translation=scan.T[:3, 3].copy()
             )
 
 
@@ -198,7 +200,7 @@ def _write_las(path: Path, scans: Sequence[PosedScan], kind: str) -> None:
         header.add_extra_dim(laspy.ExtraBytesParams(name=_LAS_VALUE, type=np.float64))
     content = laspy.LasData(header)
     content.x, content.y, content.z = points.T
-    content.point_source_id = np.repeat(np.arange(1, len(scans) + 1), [len(scan.points) for scan in scans])
+    content.point_source_id = np.repeat([scan.number for scan in scans], [len(scan.points) for scan in scans])
     if has_values:
         content[_LAS_VALUE] = np.concatenate(values)
     with path.open("wb") as stream:

@@ -201,9 +201,7 @@ def _measure(
         doubts = find_contradictions(scans, cell, nearest, options.points_units)
         for doubt in doubts:
             session.note(doubt)
-        search = None if options.search_range is None else SearchRange(*options.search_range)
-        rng = random_stream(seed, Stream.REGISTRATION_STARTS)
-        merged = merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
+        merged = merge_execution(run, recorded, scans, nearest)
         if merged.fit is not None:
             cell = cell.about_part(merged.fit.T)
         source, sigma = source_of(scans), point_sigma(merged, scans, cell.scanner)
@@ -380,6 +378,16 @@ class MergedScans:
     rms_after: float
     outliers: int = 0
     fit: RigidFit | None = None
+
+
+def merge_execution(
+    run: Run, recorded: RecordedExecution, scans: Sequence[ExecutedScan], nearest: ClosestPointQuery
+) -> MergedScans:
+    """Merge scans of an execution by its own options and seed."""
+    options, seed = options_of(recorded), recorded.manifest.seed
+    search = None if options.search_range is None else SearchRange(*options.search_range)
+    rng = random_stream(run.seed if seed is None else seed, Stream.REGISTRATION_STARTS)
+    return merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
 
 
 def merge_scans(

@@ -2,12 +2,15 @@
 
 import contextlib
 import json
+import shutil
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pye57
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from cell import api
 from cell.errors import FileError, UsageError
@@ -54,6 +57,20 @@ def test_deviations_as_csv(executed: Path, tmp_path: Path) -> None:
     reference = ClosestPointQuery(open_run(executed).reference)
     np.testing.assert_allclose(table[:, 3], reference.signed_distance(table[:, :3] / 1000.0) * 1000.0, atol=2e-6)
     assert set(table[:, 4]) == set(range(1, len(read_execution(open_run(executed), "latest").scans) + 1))
+
+
+def test_registered_points_of_one_view(planned: Path, tmp_path: Path) -> None:
+    """The points are those of the report, after registration, and have the number of their view in the plan."""
+    shutil.copytree(planned, tmp_path / "run")
+    execution = api.scan(tmp_path / "run", view=2, resolution=2, pose_error="2mm,0.5deg")
+    for kind, metres in ((".csv", 0.001), (".las", 1.0)):
+        api.points(tmp_path / "run", tmp_path / f"points{kind}")
+        found = point_files.read(tmp_path / f"points{kind}") * metres
+        assert cKDTree(execution.points).query(found)[0].max() < 2e-6
+    (scan,) = read_execution(open_run(tmp_path / "run"), "latest").scans
+    assert cKDTree(execution.points).query(scan.points)[0].max() > 1e-4
+    assert set(np.loadtxt(tmp_path / "points.csv", delimiter=",", skiprows=1)[:, 4]) == {2}
+    assert set(laspy.read(tmp_path / "points.las").point_source_id) == {2}
 
 
 @pytest.mark.parametrize("kind", [".ply", ".stl", ".obj", ".glb"])
