@@ -17,6 +17,8 @@ from cell.runs.facts import degrees
 from cell.scene.model import PlanSettings, RegionTargets, with_rest
 from cell.scene.settle import SettledScene
 from cell.world.clearance import MotionClearance, time_of_tightest
+from cell.world.occluders import fixed_occluders
+from cell.world.support_contact import in_contact
 from planner.cover import Cover
 from planner.cover.overlap import OverlapGraph
 from planner.cover.robust import RobustCover, min_views_at_confidence
@@ -479,7 +481,9 @@ def attainable_coverage(
         view_evaluator(problem.cell, known.scanner, known.casters),
     )
     share = estimated_share(probe.measured, len(unknown_rows))
-    out_of_reach = estimated_share(probe.visible & ~probe.measured, len(unknown_rows)).value
+    # A pose inside a support sees the surface that it touches.
+    is_seen = probe.visible & ~in_contact(searched, fixed_occluders(problem.cell.world))
+    out_of_reach = estimated_share(is_seen & ~probe.measured, len(unknown_rows)).value
     return schema.Attainable(
         share=float(samples.areas[is_known].sum()) / total + left * share.value,
         standard_error=left * share.standard_error,

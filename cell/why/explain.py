@@ -40,6 +40,7 @@ from cell.view.surface import Canvas, MeasuredSamples, canvas_of
 from cell.why.changes import Changes, ladder_masks
 from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import held_out_samples
+from cell.world.support_contact import in_contact
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.ports import Progress
@@ -423,6 +424,11 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
         for i in np.flatnonzero(of_robot):
             what[i] = blockers[diagnosis.pose[i] // K]
+        reason, uncovered = diagnosis.reason.copy(), samples.pick(rows)
+        for piece in cell.occluders:  # a candidate inside a support sees the surface that it touches
+            for i in np.flatnonzero(of_robot & in_contact(uncovered, [piece])):
+                reason[i], what[i] = Reason.SOURCE_SHADED, piece.name
+        diagnosis = replace(diagnosis, reason=reason)
     with reporter.stage("changes") as progress:
         changes = Changes(
             world, lambda name: world_of(run, cell.reference, without=(name,)), cell, candidates,

@@ -4,7 +4,9 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 from tests.support.fixture_types import RunCommand
 
@@ -53,6 +55,19 @@ def test_complete_coverage_is_reported(planned: Path, run_cell: RunCommand, tmp_
     process = run_cell("why", "run", "--samples", "1", cwd=tmp_path, code=0)
     assert "the whole surface is covered" in process.stdout
     assert len(list((tmp_path / "run" / "why").iterdir())) == 4
+
+
+def test_the_surface_on_a_post_is_occluded_also_from_poses_inside_it(run_cell: RunCommand, tmp_path: Path) -> None:
+    """The baseline is smaller than the post: from inside it laser and sensor see the face on it, which no pose does."""
+    trimesh.creation.cylinder(radius=30, height=5, sections=48).export(tmp_path / "disc.stl")
+    options = ("--units", "mm", "--place", "1100,300,100", "--faces", "60", "--effort", "0", "--out", "run", "--json")
+    attainable = json.loads(run_cell("plan", "disc.stl", *options, cwd=tmp_path, code=0).stdout)["attainable"]
+    touched = np.pi * 20**2 / (2 * np.pi * 30 * 35)
+    assert attainable["out_of_reach"] < 0.02
+    assert attainable["out_of_sight"] == pytest.approx(touched, abs=0.02)
+    why = json.loads(run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path, code=0).stdout)
+    by_post = sum(group["share"] for group in why["groups"] if group["object"] == "post")
+    assert by_post == pytest.approx(touched, abs=0.02)
 
 
 def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:

@@ -78,9 +78,12 @@ def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
     some = Coverage(covered, float(areas[covered].sum()), float(areas.sum()))
     prediction = SimpleNamespace(samples=samples, coverable=some, scanner=None, casters=())
     monkeypatch.setattr("cell.plan.evaluation.view_evaluator", lambda *_: evaluator)
+    monkeypatch.setattr("cell.plan.evaluation.fixed_occluders", lambda _: ())
+    monkeypatch.setattr("cell.plan.evaluation.in_contact", lambda samples, _: np.zeros(len(samples), dtype=bool))
 
     def estimated(effort: Effort):
-        problem = SimpleNamespace(prediction=prediction, cell=None, request=Request(effort=effort))
+        cell = SimpleNamespace(world=None)
+        problem = SimpleNamespace(prediction=prediction, cell=cell, request=Request(effort=effort))
         return attainable_coverage(problem, some, np.random.default_rng(0))
 
     exact = estimated(Effort())
