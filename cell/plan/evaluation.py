@@ -296,7 +296,8 @@ def _spacing(settled: SettledScene, problem: SelectionProblem, plan: ConnectedPl
 def _status(plan: ConnectedPlan, requested: float) -> str:
     """Return the status of the selection, with its target if that was raised above the requested coverage."""
     status = plan.cover.sentence if plan.selection.details is None else plan.selection.sentence
-    if len(plan.selection.targets) <= 1 and plan.target != requested:  # regions have targets of their own
+    has_target = len(plan.selection.targets) <= 1 and plan.cover.max_views is None  # regions have their own
+    if has_target and plan.target != requested:
         status += f", at {100 * plan.target:.2f} % of the coverable samples for the requested {100 * requested:g} %"
     status = status[:1].upper() + status[1:]
     return f"{status}. {plan.searched}" if plan.searched else status

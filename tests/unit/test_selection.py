@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from cell.plan import evaluation
 from cell.plan.selection import RegionGroups, Request, Search, Selection, SelectionProblem, select_views
 from cell.scene.model import PlanSettings, RegionTargets
 from planner.cover import Cover, CoverProblem, solve
@@ -137,3 +139,13 @@ def test_a_target_above_full_coverage_is_not_near(requested: float, share: float
     found = Selection(_half_covered(requested), np.array([requested]), "", shares=np.array([share]))
     assert found.almost_satisfies(np.array([requested])) is is_near
     assert found.raised_targets(np.array([requested])) <= 1
+
+
+@pytest.mark.parametrize("max_views", [None, 2])
+def test_the_status_names_a_raised_target_if_a_coverage_was_requested(max_views: int | None) -> None:
+    """A plan with a largest number of views has no requested coverage, and its target is that of its cover."""
+    cover = SimpleNamespace(sentence="proven", max_views=max_views)
+    selection = SimpleNamespace(details=None, targets=np.ones(1))
+    plan: Any = SimpleNamespace(cover=cover, selection=selection, target=1.0, searched="")
+    raised = ", at 100.00 % of the coverable samples for the requested 99 %" if max_views is None else ""
+    assert evaluation._status(plan, 0.99) == f"Proven{raised}"
