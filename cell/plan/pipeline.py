@@ -509,7 +509,7 @@ def read_request(
         options: by the names of `cell.scene.options.option_specs(Scene)`; `units` is the unit of a mesh in memory.
 
     Raises:
-        UsageError: if options are given in addition to a scene.
+        UsageError: if options are given in addition to a scene, or the part is none.
         SceneError: if the scene is not possible.
     """
     if isinstance(part, Scene):
@@ -522,6 +522,11 @@ def read_request(
     file = None if path is None else Path(path)
     if part is None or isinstance(part, str | Path):
         return scene_from_options(file, options, part), None
+    if not (hasattr(part, "vertices") and hasattr(part, "faces")):
+        raise UsageError(
+            f"the part is a {type(part).__name__}; give a path, the name of a built-in part, or a trimesh.Trimesh "
+            "(of a trimesh.Scene: scene.to_mesh())"
+        )
     units = options.get("units")
     name = Path(str(part.metadata.get("file_name") or "mesh")).stem
     loaded = workpiece.from_arrays(

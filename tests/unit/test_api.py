@@ -152,6 +152,7 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
         (lambda: plan(load_scene(None), coverage=0.9), UsageError, "coverage"),
         (lambda: open_run("no/such/run"), FileError, "does not exist"),
         (lambda: scan("no/such/run"), FileError, "does not exist"),
+        (lambda: plan(trimesh.Scene(), units="mm"), UsageError, r"the part is a Scene; .* scene\.to_mesh"),
     ],
     ids=[
         "unknown wish",
@@ -165,6 +166,7 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
         "scene and wish",
         "no run",
         "no plan",
+        "scene of meshes",
     ],
 )
 def test_invalid_calls_are_refused(call: object, error: type[Exception], words: str) -> None:
