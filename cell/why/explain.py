@@ -6,7 +6,6 @@ recommended changes are evaluated on every sample concerned, so no printed share
 changed; files are written to `why/` in the run folder. Object frame, metres.
 """
 
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import UsageError
-from cell.files import file_errors
+from cell.files import atomic_folder, file_errors
 from cell.runs import ply
 from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.folder import SCHEMA, json_text
@@ -496,10 +495,8 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
 
 def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
     """Write the files and return their folder."""
-    target, part = run.folder / FOLDER, run.folder / (FOLDER + ".part")
-    with file_errors(f"{target} cannot be written", "the run folder must be writable"):
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir()
+    target = run.folder / FOLDER
+    with file_errors(f"{target} cannot be written", "the run folder must be writable"), atomic_folder(target) as part:
         (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
         (part / "why.ply").write_bytes(samples_ply(analysis))
         reasons = [(group.rows, group.title) for group in analysis.groups]
@@ -508,8 +505,6 @@ def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
         (part / run_pages.PAGE_FILE).write_text(
             run_pages.why_page(run, analysis.canvas, analysis.surface, reasons), encoding="utf-8"
         )
-        shutil.rmtree(target, ignore_errors=True)
-        part.rename(target)
     return target
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.files import atomic_write
+from cell.files import atomic_folder, atomic_write
 from tests.support.fixture_types import RunCommand
 
 
@@ -36,6 +36,25 @@ def test_an_error_leaves_the_former_content(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         fail()
     assert [each.read_text() for each in tmp_path.iterdir()] == ["one"]
+
+
+def test_a_folder_has_the_files_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two processes that write a folder at once, the last one replaces it. An error leaves the former content."""
+    for process in (1, 2):
+        monkeypatch.setattr("os.getpid", lambda process=process: process)
+        with atomic_folder(tmp_path / "why") as first:
+            (first / "a").write_text(f"first {process}")
+            monkeypatch.setattr("os.getpid", lambda process=process: 10 + process)
+            with atomic_folder(tmp_path / "why") as second:
+                (second / "a").write_text("second")
+                (second / "b").write_text("second")
+            (first / "c").write_text("first")
+        assert sorted(path.name for path in (tmp_path / "why").iterdir()) == ["a", "c"]
+        assert (tmp_path / "why" / "a").read_text() == f"first {process}"
+    with pytest.raises(ZeroDivisionError), atomic_folder(tmp_path / "why"):
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir()] == ["why"]
+    assert (tmp_path / "why" / "c").exists()
 
 
 def test_the_page_of_a_run_does_not_replace_a_pipe(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
