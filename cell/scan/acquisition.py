@@ -15,6 +15,7 @@ import json
 import logging
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import threading
@@ -50,6 +51,7 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 _POLL_S = 0.2  # between two checks of a folder
 _TRIES = 3  # calls of a command
 _MAX_OUTPUT = 65536  # bytes of a command's output, the last ones
+_SHOWN_OUTPUT = 200  # characters of it in a message
 _FAR = 10.0  # times the largest range: farther points are no outliers
 
 
@@ -264,6 +266,8 @@ class Command:
             raise UsageError(f"--acquire command:{argument} cannot be read: {error}") from error
         if not self._words:
             raise UsageError("--acquire command: names no command; give --acquire 'command:my_scanner --fast'")
+        if shutil.which(self._words[0]) is None:
+            raise UsageError(f"--acquire command:{argument}: there is no program {self._words[0]}; give its path")
         self._frame, self._unit = frame_and_unit(context)
         self._timeout, self._notify = float(context.options["acquire_timeout_s"]), context.notify
         self._raw = context.folder / "raw"
@@ -279,7 +283,8 @@ class Command:
             out.unlink(missing_ok=True)
             ending, output = self._call(view, pose, out)
             log.info("view %d, call %d of %s: %s\n%s", view.stop, number, self._words[0], ending, output)
-            problem = f"{self._words[0]} {ending}"
+            last_line = output.strip().rpartition("\n")[2][-_SHOWN_OUTPUT:]
+            problem = f"{self._words[0]} {ending}{f', its last line is: {last_line}' if last_line else ''}"
             if ending == "ended with code 0":
                 try:
                     points = point_files.read(out) * UNITS[self._unit]

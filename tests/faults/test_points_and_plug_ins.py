@@ -60,6 +60,15 @@ def test_the_output_of_a_command_is_bounded(tmp_path: Path) -> None:
     assert 0 < len(output) <= 65536
 
 
+def test_the_message_about_a_failed_command_has_its_last_line(tmp_path: Path) -> None:
+    """The cause of a failure is what the command said; a program that does not exist is refused before any motion."""
+    notes: list[str] = []
+    assert command("sh -c 'echo one; echo the laser is off >&2; exit 3'", tmp_path, 5.0, notes).take(VIEW) is None
+    assert "sh ended with code 3, its last line is: the laser is off (3 calls)" in notes[0]
+    with pytest.raises(UsageError, match=r"there is no program ./no_scanner"):
+        command("./no_scanner --fast", tmp_path, 5.0, notes)
+
+
 @pytest.mark.parametrize(
     ("points", "words"),
     [
