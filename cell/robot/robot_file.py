@@ -280,6 +280,11 @@ def _select_arm(
     _require_plausible(path, model, chain, velocity)
     if extras.soft:
         file_warnings.append(f"{path.name} has soft limits, which are used: {', '.join(extras.soft)}")
+    if _flange_tilt(model, end, chain[-1]) > np.pi / 4:
+        file_warnings.append(
+            f"{path.name}: z of the link '{end}' is across A6, and z of the flange must leave its face (in ROS x of "
+            "'flange' and 'ee_link' does): name another link as robot.flange_link, or turn the scanner by mount.abc_deg"
+        )
     home = _home(model, model.jnt_qposadr[chain])
     if home is not None and not ((home >= lower) & (home <= upper)).all():
         home = None
@@ -287,6 +292,17 @@ def _select_arm(
         path, model, root, end, end in bodies, tuple(names), _mimic_joints(path, model, names, extras), lower, upper,
         velocity, home, tuple(file_warnings),
     )  # fmt: skip
+
+
+def _flange_tilt(model: mujoco.MjModel, end: str, joint: int) -> float:
+    """Return the angle between z of a link or site and the axis of a joint, 0 to 90 deg [rad]."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    is_body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, end) >= 0
+    z = (data.body(end) if is_body else data.site(end)).xmat.reshape(3, 3)[:, 2]
+    return float(np.arccos(min(1.0, abs(z @ data.xaxis[joint]))))
 
 
 def _mimic_joints(path: Path, model: mujoco.MjModel, names: list[str], extras: UrdfExtras) -> tuple[MimicJoint, ...]:

@@ -457,6 +457,9 @@ def test_warnings_about_a_file(
     assert {each.name for each in tmp_path.iterdir()} == {"arm.xml", "cache"}
     path.write_text(CAPSULES, encoding="utf-8")
     assert robot_file.read_robot(path).warnings == ()
+    path.write_text(CAPSULES.replace('euler="0 90 0"', 'euler="0 0 0"'), encoding="utf-8")  # x leaves the face
+    (sentence,) = robot_file.read_robot(path).warnings
+    assert sentence.startswith("arm.xml: z of the link 'flange' is across A6")
 
 
 def test_fixed_shapes_beside_the_base_belong_to_the_arm(tmp_path: Path) -> None:
