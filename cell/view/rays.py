@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from cell.files import file_errors
+from cell.files import atomic_write, file_errors
 from planner.ports import RayCaster
 from planner.values import Floats, Ints, Value
 
@@ -293,11 +293,10 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def save_png(image: Image.Image, path: Path) -> None:
-    """Write a PNG with reproducible bytes.
+    """Write a PNG with reproducible bytes, completely or not at all.
 
     Raises:
         FileError: if it cannot be written.
     """
-    with file_errors(f"{path} cannot be written"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        image.save(path, format="png", optimize=False, compress_level=4)
+    with file_errors(f"{path} cannot be written"), atomic_write(path) as part:
+        image.save(part, format="png", optimize=False, compress_level=4)

@@ -1,11 +1,15 @@
 """Files that are written completely or not at all."""
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from cell.errors import FileError
 from cell.files import atomic_folder, atomic_write
+from cell.view.rays import save_png
 from tests.support.fixture_types import RunCommand
 
 
@@ -36,6 +40,19 @@ def test_an_error_leaves_the_former_content(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         fail()
     assert [each.read_text() for each in tmp_path.iterdir()] == ["one"]
+
+
+def test_a_picture_that_cannot_be_written_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk ends the writing after the file was opened."""
+
+    def save(_: Image.Image, path: Path, **__: object) -> None:
+        path.write_bytes(b"\x89PNG")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Image.Image, "save", save)
+    with pytest.raises(FileError, match="No space left"):
+        save_png(Image.new("RGB", (2, 2)), tmp_path / "a.png")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_has_the_files_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
