@@ -329,7 +329,7 @@ class _Search:
         """Add the candidate with the largest area that no view measures."""
         rows = np.flatnonzero(self.count == 0)
         best = np.array([np.argmax(self.pool_measured[:, rows] @ self.weights[rows])])
-        views = join_poses([self.views, self.pool.pick(best)])
+        views = SearchPoses.join((self.views, self.pool.pick(best)))
         self._set(views, np.concatenate([self.measured, self.pool_measured[best]]))
 
     def _own_weights(self, rows: Ints, starts: Ints) -> Floats:
