@@ -40,6 +40,7 @@ from cell.report import plots
 from cell.runs import digest
 from cell.session import Effort, effort_of
 from cell.view.run_pages import PARTIAL_PAGE_FILE
+from planner import threads
 from tests.support.fixture_types import RunCommand, StartCommand
 
 # Tests have no deadline, because wall time is not a property. In CI the examples are the same in every execution.
@@ -231,6 +232,24 @@ def drawing_is_here() -> Iterator[None]:
             for name in names:
                 patch.setattr(name, _only_where_enabled(resolve_name(name), instead))
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Use one core in this process, because the workers use all. Processes of `start_cell` use threads."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threads, "CORES", 1)
+        yield
+
+
+@pytest.fixture
+def four_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Use four threads in this process on every machine, for tests of the functions that work in threads."""
+    monkeypatch.setattr(threads, "CORES", 4)
+    threads._threads.cache_clear()
+    yield
+    threads._threads().shutdown()
+    threads._threads.cache_clear()
 
 
 _LOW_EFFORT = Effort(

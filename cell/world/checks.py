@@ -200,9 +200,7 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
     return f"{_object_name(world, one.name)} intersects {_object_name(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
-def _clear_move(
-    world: World, one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None
-) -> Floats:
+def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None) -> Floats:
     """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
 
     It is the shortest separation of the two alone if no such move is found.

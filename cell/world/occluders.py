@@ -206,7 +206,7 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
 
 
 def geom_triangles(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES, mesh: TriangleMesh | None = None
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES, *, mesh: TriangleMesh | None = None
 ) -> tuple[Floats, NDArray[np.int32]]:
     """Return a geom as triangles, base frame; a cylinder is a prism with a number of sides.
 

@@ -103,7 +103,8 @@ class Solid:
         """(E, 2, 3) ends of the edges [m]."""
         ends = np.sort(np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]), axis=1)
         keys = np.unique(ends[:, 0] * len(self.vertices) + ends[:, 1])
-        return self.vertices[np.stack(np.divmod(keys, len(self.vertices)), axis=1)]
+        ends = np.stack(np.divmod(keys, len(self.vertices)), axis=1)
+        return np.asarray(self.vertices[ends])
 
     @cached_property
     def edge_boxes(self) -> tuple[Floats, Floats]:
@@ -306,8 +307,9 @@ def cell_solids(world: World) -> dict[str, Solid]:
             if data.body("post").xpos[2] > world.floor:
                 solids[name] = Solid(name, *post_triangles(data, world.floor, _SIDES))
         else:
-            sides = {} if name in on_robot else {"sides": _SIDES}
-            pieces = [geom_triangles(world.model, data, geom, **sides) for geom in geoms]
+            sides: tuple[int, ...] = () if name in on_robot else (_SIDES,)
+            known = world.shapes.meshes
+            pieces = [geom_triangles(world.model, data, geom, *sides, mesh=known.get(geom)) for geom in geoms]
             axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
             solids[name] = Solid(name, *concatenate_meshes(pieces)[:2], axes)
     return solids

@@ -67,7 +67,6 @@ class Bench:
         thread.start()
         return thread
 
-
     def wait_for_rest(self) -> None:
         """Wait until a braking arm is at rest."""
         while not self.controller.variables["$ROB_STOPPED"]:
