@@ -253,9 +253,9 @@ def four_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 _LOW_EFFORT = Effort(
-    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, pose_search_share=0.1, motion_share=0.25,
-    clearance_share=0.3, cover_work=30_000_000, probe_work=10_000_000, selection_work=20_000_000,
-    repeat_work=10_000_000, constrained_work=100_000_000, curve_work=10_000_000,
+    held_out_samples=10_000, deviation_samples=10_000, searched_samples=50, pose_search_share=0.1, motion_share=0.25,
+    clearance_share=0.5, cover_work=15_000_000, probe_work=5_000_000, selection_work=10_000_000,
+    repeat_work=5_000_000, constrained_work=100_000_000, curve_work=10_000_000,
 )  # fmt: skip
 
 
