@@ -235,7 +235,16 @@ def test_an_arm_outside_its_limits_is_not_driven() -> None:
         assert np.abs(np.diff([outside, *bench.controller.driven], axis=0)).max(initial=0.0) < 2e-4
 
 
-@pytest.mark.parametrize("count", [1, 2, 20, 60])
+def with_cycles(values: list[int]) -> list[object]:
+    """Return parameters (cycle [ms], value): in the default suite each value with one cycle, slow with the other."""
+    return [
+        pytest.param(cycle_ms, value, marks=() if k % 2 == (cycle_ms == 12) else pytest.mark.slow)
+        for k, value in enumerate(values)
+        for cycle_ms in (4, 12)
+    ]
+
+
+@pytest.mark.parametrize(("bench", "count"), with_cycles([1, 2, 20, 60]), indirect=["bench"])
 def test_rejected_answers_are_repeated(bench: Bench, count: int) -> None:
     """The step between two accepted corrections never exceeds the speed limit; the path goes on from rest."""
     seen = []
@@ -282,7 +291,7 @@ def test_a_silent_client_is_a_fault() -> None:
         assert bench.deviation_deg(FAR) < 1e-5
 
 
-@pytest.mark.parametrize("cycles", [10, 60])
+@pytest.mark.parametrize(("bench", "cycles"), with_cycles([10, 60]), indirect=["bench"])
 def test_a_restart_without_late_answers_is_found(bench: Bench, cycles: int) -> None:
     """The clock has jumped, and the controller has not counted the missed answers: it is another session."""
     cycle_s = bench.controller.cycle_ms / 1000.0
@@ -432,6 +441,7 @@ def test_a_clock_that_begins_again_is_a_restart() -> None:
             assert time.monotonic() - began < 2.0  # before the silence of 3 s
 
 
+@pytest.mark.parametrize("bench", [4, pytest.param(12, marks=pytest.mark.slow)], indirect=True)
 def test_an_arm_that_does_not_follow_makes_no_step(bench: Bench) -> None:
     """After the fault a reset would begin at the arm, away from its corrections: the session has to end."""
     with bench.driver() as driver:
