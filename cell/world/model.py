@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -226,7 +227,7 @@ def compile_world(
 
     spec = robot_spec(scene.robot)
     cell_shapes.set_robot_pairs(spec, on_pedestal=scene.robot.base is None)
-    alone = _compiled(spec.copy())
+    alone = _kr16() if scene.robot.model == robot.KR16 else _compiled(spec.copy())
     scene = _with_home(scene, spec, alone)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, alone, scene, T_flange_housing)
@@ -329,6 +330,12 @@ def _add_surroundings(
         off_axis = np.linalg.norm(table.to_table_frame(scene.placement.T[:3, 3])[:2])
         cell_shapes.enable_table_pairs(spec, post_swings=bool(off_axis > ON_AXIS), upright=table.upright)
     return fixture_meshes
+
+
+@cache
+def _kr16() -> mujoco.MjModel:
+    """Return the model of the KR 16 alone; it must not be changed."""
+    return robot.load()
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
