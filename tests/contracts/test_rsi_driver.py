@@ -118,6 +118,18 @@ def test_a_second_client_begins_where_the_first_one_ended(bench: Bench) -> None:
         assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
 
 
+def test_a_client_ends_with_its_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody starts the program again: the process of the telegrams does not wait for the silence of 3 s."""
+    monkeypatch.setattr("drivers.emulated.rsi._RESTART", 60.0)
+    with serve(HOME_Q.copy()) as bench:
+        driver = bench.driver()
+        driver.connect()
+        began = time.monotonic()
+        driver.close()
+        assert time.monotonic() - began < 2.0
+        assert bench.controller.ended == {"client": 1, "timeout": 0, "emergency stop": 0}
+
+
 def test_a_stop_ends_the_move_on_its_path(bench: Bench) -> None:
     """The stop of another thread."""
     with bench.driver() as driver:
