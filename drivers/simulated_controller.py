@@ -56,7 +56,7 @@ class Plant(Protocol):
 
     @property
     def reported_axes(self) -> Floats:
-        """(n,) axes as the encoders measure them [rad]."""
+        """(n,) axes as the encoders measure them [rad]; another array if they have changed."""
 
     @property
     def settled(self) -> bool:
@@ -89,13 +89,18 @@ class IdealPlant:
         if axes.ndim != 1 or len(axes) < AXES or not np.isfinite(axes).all():
             raise DriverError(f"a plant was started at {axes}; it must be {AXES} or more finite joint angles in rad")
         self._reference, self._elapsed = resting(axes), 0.0
+        self._sampled: tuple[Reference, float, Floats] | None = None  # the last reading, with its reference and time
 
     @property
     def reported_axes(self) -> Floats:
         """(n,) axes of the reference [rad]."""
         if self.settled:
             return self._reference.end
-        return np.asarray(self._reference.sample(np.array([self._elapsed]))[0][0])
+        last = self._sampled
+        if last is None or last[0] is not self._reference or last[1] != self._elapsed:
+            axes = self._reference.sample(np.array([self._elapsed]))[0][0]
+            self._sampled = last = self._reference, self._elapsed, axes
+        return last[2]
 
     @property
     def settled(self) -> bool:
@@ -137,7 +142,8 @@ class Controller:
     def __init__(self, plant: Plant, limits: Limits, clock: Clock) -> None:
         self.plant, self.limits = plant, limits
         self._clock, self._now = clock, _require_finite(clock.now())
-        self._axes = from_rad(plant.reported_axes)
+        self._reported = plant.reported_axes
+        self._axes = from_rad(self._reported)
         if ((self._axes < limits.lower) | (self._axes > limits.upper)).any():
             raise DriverError(
                 f"the arm is at {format_axes(self._axes)}, outside the controller's limits; it must start inside"
@@ -325,7 +331,8 @@ class Controller:
     def _plant_failure(self) -> str:
         """Return why the plant does not follow, if so, and store its reported axes."""
         try:
-            self._axes = from_rad(self.plant.reported_axes)
+            if (reported := self.plant.reported_axes) is not self._reported:
+                self._axes, self._reported = from_rad(reported), reported
         except SetPointError:  # axes that are no numbers: keep the last ones
             return self.plant.failure or "an axis position is not a number"
         return self.plant.failure

@@ -40,6 +40,7 @@ from cell.report import plots
 from cell.runs import digest
 from cell.session import Effort, effort_of
 from cell.view.run_pages import PARTIAL_PAGE_FILE
+from planner import threads
 from tests.support.fixture_types import RunCommand, StartCommand
 
 # Tests have no deadline, because wall time is not a property. In CI the examples are the same in every execution.
@@ -57,6 +58,11 @@ gc.disable()
 
 # MuJoCo reads it once, when it is imported: rendering without a display.
 os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return one worker more than cores: some tests wait for a wire, a process or a browser."""
+    return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else threads.CORES + 1
 
 
 def pytest_collection_finish() -> None:
@@ -141,8 +147,12 @@ def run_cell(cache: Path) -> RunCommand:
 
     It requires the exit code `code` if one is given.
     """
+    from typer.main import get_command
+
     from cell.cli import app
     from cell.cli.failures import INTERRUPTED, report_errors
+
+    command = get_command(app)  # made once: it takes 13 ms
 
     def run(*arguments: object, cwd: Path, code: int | None = None) -> subprocess.CompletedProcess[str]:
         words = [str(word) for word in arguments]
@@ -154,7 +164,7 @@ def run_cell(cache: Path) -> RunCommand:
             patch.setattr(sys, "argv", ["cell", *words])
             patch.chdir(cwd)
             ended = report_errors(
-                lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
+                lambda: command(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
             )
         if ended == INTERRUPTED:  # Ctrl-C at the terminal ends the tests
             raise KeyboardInterrupt
@@ -233,10 +243,28 @@ def drawing_is_here() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Use one core in this process, because the workers use all. Processes of `start_cell` use threads."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threads, "CORES", 1)
+        yield
+
+
+@pytest.fixture
+def four_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Use four threads in this process on every machine, for tests of the functions that work in threads."""
+    monkeypatch.setattr(threads, "CORES", 4)
+    threads._threads.cache_clear()
+    yield
+    threads._threads().shutdown()
+    threads._threads.cache_clear()
+
+
 _LOW_EFFORT = Effort(
-    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, pose_search_share=0.1, motion_share=0.25,
-    clearance_share=0.3, cover_work=30_000_000, probe_work=10_000_000, selection_work=20_000_000,
-    repeat_work=10_000_000, constrained_work=100_000_000, curve_work=10_000_000,
+    held_out_samples=10_000, deviation_samples=10_000, searched_samples=50, pose_search_share=0.1, motion_share=0.25,
+    clearance_share=0.5, cover_work=15_000_000, probe_work=5_000_000, selection_work=10_000_000,
+    repeat_work=5_000_000, constrained_work=100_000_000, curve_work=10_000_000,
 )  # fmt: skip
 
 

@@ -332,11 +332,15 @@ class Instance:
         """Return (n,) whether any of poses (k, 3, 4) measures each point; with `each` (k, n)."""
         if each:
             return np.array([measured(self.sensor, self.surface, pose, points, normals) for pose in poses])
-        found = np.zeros(len(points), dtype=bool)
-        for pose in poses:
-            left = np.flatnonzero(~found)
-            found[left] = measured(self.sensor, self.surface, pose, points[left], normals[left])
-        return found
+        return self.first_measuring(poses, points, normals) < len(poses)
+
+    def first_measuring(self, poses: Array, points: Array, normals: Array) -> Array:
+        """Return (n,) the first of poses (k, 3, 4) that measures each point; k for none."""
+        first = np.full(len(points), len(poses))
+        for number, pose in enumerate(poses):
+            left = np.flatnonzero(first == len(poses))
+            first[left[measured(self.sensor, self.surface, pose, points[left], normals[left])]] = number
+        return first
 
     def rows(self) -> tuple[Array, Array]:
         """Return points (S, 3) and normals (S, 3) of the samples of the file."""
@@ -448,8 +452,8 @@ def _judge_budgets(entry: dict[str, Any], instance: Instance, n_fresh: int) -> d
     if len(poses) > max(budgets) or np.abs(poses[0] - first).max() > RIGID:
         raise CheckError(f"the first pose must be that of the instance, and {max(budgets)} poses are allowed")
     points, normals, _ = instance.surface.draw(n_fresh, _fresh_seed(poses))
-    each = instance.measured_by(poses, points, normals, each=True)
-    shares = [float(each[:budget].any(axis=0).mean()) / instance.data["reference"] for budget in budgets]
+    measuring = instance.first_measuring(poses, points, normals)
+    shares = [float((measuring < budget).mean()) / instance.data["reference"] for budget in budgets]
     return {"value": float(np.mean(shares)), "shares": shares}
 
 

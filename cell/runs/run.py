@@ -317,7 +317,11 @@ class Run(ArtefactFolder):
             return mujoco.MjSpec.from_string(text)
 
     def cell_model(self) -> mujoco.MjModel:
-        """Return `cell.xml`, compiled."""
+        """Return `cell.xml`, compiled once; it must not be changed."""
+        return self._cell_model
+
+    @cached_property
+    def _cell_model(self) -> mujoco.MjModel:
         with self.compiling():
             return self.cell_spec().compile()
 

@@ -70,7 +70,8 @@ def built_in_plants(
 
         scene, spec = with_device(load_scene(None), "mseke", 0.0), robot.spec()
         baseline_mm = scene.scanner.baseline_mm or 0.0
-        shapes.add_tool(spec, scene, scene.mount.T @ scene.housing.T_scanner_housing(baseline_mm))
+        T_flange_housing = scene.mount.T @ scene.housing.T_scanner_housing(baseline_mm)
+        shapes.add_tool(spec, spec.copy().compile(), scene, T_flange_housing)
         return MujocoPlant(start, dynamics.tool_of(spec.compile()), settings, observer)
 
     return {"mujoco": mujoco}

@@ -194,13 +194,13 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
         at_home: whether the other is a part of the robot at home.
     """
     out = minimum_translation(one, other)
-    cure = _move_object(world, one.name, _clear_move(world, one, other) if move is None else move)
+    cure = _move_object(world, one.name, _clear_move(world, one, other, shortest=out) if move is None else move)
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
     return f"{_object_name(world, one.name)} intersects {_object_name(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
-def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0) -> Floats:
+def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None) -> Floats:
     """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
 
     It is the shortest separation of the two alone if no such move is found.
@@ -210,8 +210,9 @@ def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0) -> Flo
         one: part, post, table or a fixture.
         other: an object, or the robot.
         gap: distance to the other afterwards [m].
+        shortest: (3,) the shortest separation of the two, if known [m].
     """
-    shortest = move = minimum_translation(one, other, gap)
+    shortest = move = minimum_translation(one, other, gap) if shortest is None else shortest
     solids, around = cell_solids(world), set[str]()
     for _ in range(_DETOURS):
         hit = [name for name in _hit_by_move(world, solids, one.name, move) if name in solids]

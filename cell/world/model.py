@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -226,9 +227,10 @@ def compile_world(
 
     spec = robot_spec(scene.robot)
     cell_shapes.set_robot_pairs(spec, on_pedestal=scene.robot.base is None)
-    scene = _with_home(scene, spec)
+    alone = _kr16() if scene.robot.model == robot.KR16 else _compiled(spec.copy())
+    scene = _with_home(scene, spec, alone)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
-    cell_shapes.add_tool(spec, scene, T_flange_housing)
+    cell_shapes.add_tool(spec, alone, scene, T_flange_housing)
     clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
     nonconvex = [name for name, mesh in _link_meshes(arm, entities).items() if not is_convex(mesh)]
     shapes = ShapeDistances(arm, _link_meshes(arm, entities), nonconvex)
@@ -330,6 +332,12 @@ def _add_surroundings(
     return fixture_meshes
 
 
+@cache
+def _kr16() -> mujoco.MjModel:
+    """Return the model of the KR 16 alone; it must not be changed."""
+    return robot.load()
+
+
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         with capture_mujoco_warnings():  # about masses, which kinematics does not use
@@ -340,13 +348,13 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
         ) from error
 
 
-def _with_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
-    """Return the scene with the home of its robot if it gives none."""
+def _with_home(scene: Scene, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Scene:
+    """Return the scene with the home of its robot, from the model of the robot alone if the scene gives none."""
     if scene.robot.home_deg is not None:
         if spec.key("home") is None:
-            spec.add_key(name="home", qpos=np.zeros(spec.compile().nq))
+            spec.add_key(name="home", qpos=np.zeros(model.nq))
         return scene
-    degrees = np.degrees(robot.home(_compiled(spec.copy()))).round(4).tolist()
+    degrees = np.degrees(robot.home(model)).round(4).tolist()
     # Whole numbers stay integers in the file of the settled scene.
     home = tuple(int(angle) if angle == int(angle) else angle for angle in degrees)
     return scene.model_copy(update={"robot": scene.robot.model_copy(update={"home_deg": home})})

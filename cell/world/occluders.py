@@ -180,7 +180,7 @@ def arm_occluders(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     links = robot.bodies(world.model)
     names = (*links, "bracket") if ends is None else (*links, "bracket", "housing")
     pieces = [
-        Occluder(name, *geom_triangles(world.model, data, geom))
+        Occluder(name, *geom_triangles(world.model, data, geom, mesh=world.shapes.meshes.get(geom)))
         for geom, name in enumerate(world.entities)
         if name in names
     ]
@@ -206,14 +206,17 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
 
 
 def geom_triangles(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES, *, mesh: TriangleMesh | None = None
 ) -> tuple[Floats, NDArray[np.int32]]:
-    """Return a geom as triangles, base frame; a cylinder is a prism with a number of sides."""
+    """Return a geom as triangles, base frame; a cylinder is a prism with a number of sides.
+
+    `mesh` is that of a mesh geom in the frame of its body, if it is known.
+    """
     import mujoco
 
     size = model.geom_size[geom]
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh, body = mesh_of(model, geom), int(model.geom_bodyid[geom])
+        mesh, body = mesh or mesh_of(model, geom), int(model.geom_bodyid[geom])
         return mesh.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body], mesh.faces
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         vertices, faces = box_triangles(size)

@@ -167,7 +167,10 @@ def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scann
     to_scanner = np.linalg.inv(T_base_part @ T_object_scanner)
     near = []
     for piece in (*arm_occluders(world, q, ends), *occluders_beside_table(world)):
-        corners = (piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3])[piece.faces]
+        points = piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3]
+        if (points.min(axis=0) > high).any() or (points.max(axis=0) < low).any():
+            continue
+        corners = points[piece.faces]
         if ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1).any():
             near.append(piece)
     return make_caster(near, np.linalg.inv(T_base_part)) if near else None

@@ -90,9 +90,9 @@ def set_robot_pairs(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
             geom.conaffinity |= classes
 
 
-def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> None:
-    """Add bracket and housing, each as a body with the flange's frame."""
-    flange, last = spec.copy().compile().site(robot.FLANGE), spec.body("link_6")
+def add_tool(spec: mujoco.MjSpec, model: mujoco.MjModel, scene: Scene, T_flange_housing: Floats) -> None:
+    """Add bracket and housing, each as a body with the flange's frame in the model of the robot alone."""
+    flange, last = model.site(robot.FLANGE), spec.body("link_6")
     half = np.array(scene.housing.sides_mm) / 2000.0
     body = last.add_body(name="housing", pos=flange.pos, quat=flange.quat)
     housing = add_box(body, "housing", half, T_flange_housing, [0.1, 0.1, 0.12, 1])

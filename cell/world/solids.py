@@ -31,6 +31,7 @@ BUILT_IN_OBSTACLES = ("post", "pedestal", "floor")
 
 _STEPS = 24  # first subdivision of a direction: gaps narrower than a 24th of the distance are missed
 _HALVINGS = 16
+_SAME = 1e-12  # largest difference of unit vectors of the same direction
 _SEARCH_FACES = 8_000  # meshes with more faces are searched with a decimated copy, and refined with the true triangles
 _STEPS_BACK, _BACK = 8, 1e-3  # m; how far the true depth is searched below that of the copies
 _MAX_OFFSET_RATIO = 2.0  # of the offset of a corner to that of its faces: below a needle's, above a cube's 1.73
@@ -98,6 +99,19 @@ class Solid:
         return bool((np.unique(keys[start != end], return_counts=True)[1] % 2 == 0).all())
 
     @cached_property
+    def edges(self) -> Floats:
+        """(E, 2, 3) ends of the edges [m]."""
+        ends = np.sort(np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]), axis=1)
+        keys = np.unique(ends[:, 0] * len(self.vertices) + ends[:, 1])
+        ends = np.stack(np.divmod(keys, len(self.vertices)), axis=1)
+        return np.asarray(self.vertices[ends])
+
+    @cached_property
+    def edge_boxes(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corners (E, 3) of the boxes of the edges [m]."""
+        return self.edges.min(axis=1), self.edges.max(axis=1)
+
+    @cached_property
     def bodies(self) -> Ints:
         """(n,) one vertex of each connected body."""
         from scipy.sparse import coo_array
@@ -161,25 +175,15 @@ def intersect(one: Solid, other: Solid, move: Floats | None = None) -> bool:
         return False
     pairs = ((one, other, move, low - move, high - move), (other, one, -move, low, high))
     for a, b, shift, bottom, top in pairs:
-        starts, ends = _edges(a, bottom, top)
-        if len(starts) and b.caster.blocked(starts + shift, ends + shift).any():
+        low_end, high_end = a.edge_boxes
+        near = a.edges[((low_end <= top) & (high_end >= bottom)).all(axis=1)] + shift
+        if len(near) and b.caster.blocked(near[:, 0], near[:, 1]).any():
             return True
     for a, b, shift, *_ in pairs:
         for point in a.vertices[a.bodies] + shift:
             if (point >= b.low).all() and (point <= b.high).all() and encloses(b.triangles, point):
                 return True
     return False
-
-
-def _edges(solid: Solid, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return the ends (E, 3) and (E, 3) of the edges of the faces near an upright box [m]."""
-    faces = solid.faces
-    for axis in range(3):
-        at = solid.vertices[:, axis][faces]
-        faces = faces[(at.min(axis=1) <= high[axis]) & (at.max(axis=1) >= low[axis])]
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    edges = np.unique(ends[:, 0] * len(solid.vertices) + ends[:, 1])
-    return solid.vertices[edges // len(solid.vertices)], solid.vertices[edges % len(solid.vertices)]
 
 
 def penetrates(one: Solid, other: Solid) -> bool:
@@ -237,8 +241,10 @@ def _search(one: Solid, other: Solid, gap: float) -> Floats:
     """Return the shortest separation (3,) [m] of all directions; arguments as of `minimum_translation`."""
     near = other.offset_by(gap) if gap else other
     thin, wide = (one, near) if gap else _without_skin(one, near)
-    directions = []
+    directions: list[tuple[float, Floats]] = []
     for direction in _directions(one, other):
+        if any(np.abs(direction - known).max() < _SAME for _, known in directions):
+            continue
         sure = float((near.vertices @ direction).max() - (one.vertices @ direction).min())
         directions.append((sure, direction))
     directions.sort(key=lambda each: each[0])
@@ -301,8 +307,9 @@ def cell_solids(world: World) -> dict[str, Solid]:
             if data.body("post").xpos[2] > world.floor:
                 solids[name] = Solid(name, *post_triangles(data, world.floor, _SIDES))
         else:
-            sides = {} if name in on_robot else {"sides": _SIDES}
-            pieces = [geom_triangles(world.model, data, geom, **sides) for geom in geoms]
+            sides: tuple[int, ...] = () if name in on_robot else (_SIDES,)
+            known = world.shapes.meshes
+            pieces = [geom_triangles(world.model, data, geom, *sides, mesh=known.get(geom)) for geom in geoms]
             axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
             solids[name] = Solid(name, *concatenate_meshes(pieces)[:2], axes)
     return solids

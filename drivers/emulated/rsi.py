@@ -1,8 +1,8 @@
 """An emulated KUKA controller with RSI on the loopback interface: it sends telegrams and adds their answers.
 
 As on a real controller it owns the clock, rejects late and wrong answers, holds the last correction, and ends RSI after
-`TIMEOUT_CYCLES` late answers in a row, or at the client's word. The emulated person then starts its program again at
-once: the corrections begin at zero where the arm is.
+`TIMEOUT_CYCLES` late answers in a row, or at the client's word. The emulated person then starts its program again, at
+once or a moment after the client's word: the corrections begin at zero where the arm is.
 """
 
 import contextlib
@@ -25,6 +25,7 @@ UDP_FAULTS: Final = ("drop", "delay", "duplicate", "reorder")
 """Faults of the wire; its checksum drops telegrams with wrong bits."""
 
 _MAX_STEP: Final = 0.02
+_RESTART: Final = 0.2  # time from the end of RSI by the client to the start of the program [s]
 
 
 class RsiController:
@@ -149,6 +150,7 @@ class RsiController:
             return
         if is_end:
             self._end("client")
+            self.pause(_RESTART)
             return
         self._is_answered, self._is_attached, self._n_silent = True, True, 0
         axes = self._base + corrections

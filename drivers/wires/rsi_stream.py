@@ -169,7 +169,7 @@ class Stream:
         self._has_client = True
 
     def run(self) -> None:
-        """Serve until the client has ended and the arm is at rest."""
+        """Serve until the client has ended, the arm is at rest and the controller has ended RSI."""
         while self._has_client or self._ending:
             sources: list[Any] = [self._port, *([self._client] if self._has_client else [])]
             ready, _, _ = select.select(sources, [], [], _MAX_WAIT)
@@ -179,6 +179,8 @@ class Stream:
                 self._serve_client()
             self._check_silence()
             self._check_client()
+            if 0 < self._ending < _LAST_ANSWERS and self._silent_for() > HELD_AFTER:
+                break  # the controller has received one of the answers that end RSI
 
     def _answer_newest(self) -> None:
         """Answer the newest telegram; older ones that wait are late already."""
@@ -269,9 +271,13 @@ class Stream:
         self._last = telegram.ipoc
 
     def _check_silence(self) -> None:
-        is_silent = self._heard and time.monotonic() - self._heard > self._silence
-        if is_silent and not select.select([self._port], [], [], 0.0)[0]:  # this process may itself have paused
+        if self._silent_for() > self._silence:
             self._fail(f"the controller has sent no telegram for {self._silence:g} s")
+
+    def _silent_for(self) -> float:
+        """Return the time [s] since the last telegram; 0 before the first, or if one waits: this process paused."""
+        silent = time.monotonic() - self._heard if self._heard else 0.0
+        return 0.0 if select.select([self._port], [], [], 0.0)[0] else silent
 
     def _check_client(self) -> None:
         is_silent = self._has_client and time.monotonic() - self._commanded > self._silence

@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.geometry.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh, cross_rows
 from planner.values import Floats, Ints32, Value
 
 _CREASE_DEG = 30.0  # normals are not interpolated across edges with a larger dihedral angle
@@ -75,7 +75,8 @@ class ClosestPointQuery:
             self._smooth = self._igl.per_corner_normals(*self._arrays, _CREASE_DEG).reshape(-1, 3, 3)
         corners = self.mesh.vertices[self.mesh.faces[closest.face]] - closest.point[:, None, :]
         # The areas opposite to the corners are barycentric coordinates; they stay well conditioned on needles.
-        weights = np.linalg.norm(np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]), axis=2)
+        second, third = (corners[:, order].reshape(-1, 3) for order in ([1, 2, 0], [2, 0, 1]))
+        weights = np.linalg.norm(cross_rows(second, third).reshape(corners.shape), axis=2)
         normals = np.einsum("nc,ncj->nj", weights, self._smooth[np.searchsorted(self._faces, closest.face)])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         return np.asarray(np.divide(normals, length, out=np.zeros_like(normals), where=length > 0))

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh, face_cross_products, row_norms, without_unused
@@ -312,6 +311,8 @@ def unique_edges(faces: Ints32) -> tuple[Ints32, Ints]:
 
 def _common_neighbours(edges: Ints32, selection: Ints32, n_vertices: int) -> Ints:
     """Return for each selected edge the number of vertices that are connected with both its ends."""
+    from scipy.sparse import coo_array  # not loaded by commands that decimate nothing
+
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
     graph = coo_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(n_vertices, n_vertices)).tocsr()
     shared = graph[selection[:, 0]].multiply(graph[selection[:, 1]]).sum(axis=1)

@@ -5,6 +5,8 @@ directions; the thickened solid contains the mesh. The hull of a hollow part is 
 reaches into a mug.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from planner.errors import PlannerError
@@ -62,13 +64,19 @@ def _thickened(points: Floats) -> Floats:
 
 def is_convex(mesh: TriangleMesh) -> bool:
     """Return whether no middle of a face or edge is deeper than `CONVEX` below the mesh's convex hull."""
+    return _is_convex(mesh.vertices.tobytes(), mesh.faces.tobytes())
+
+
+@lru_cache(maxsize=64)  # the links of a few robots, of which every scene has its own copies
+def _is_convex(vertex_bytes: bytes, face_bytes: bytes) -> bool:
     from scipy.spatial import ConvexHull, QhullError  # kept out of the start-up
 
+    vertices = np.frombuffer(vertex_bytes).reshape(-1, 3)
     try:
-        planes = np.unique(ConvexHull(mesh.vertices).equations, axis=0)
+        planes = np.unique(ConvexHull(vertices).equations, axis=0)
     except QhullError:
         return False
-    corners = mesh.vertices[mesh.faces]
+    corners = vertices[np.frombuffer(face_bytes, dtype=np.int32).reshape(-1, 3)]
     points = np.concatenate([corners.mean(axis=1), *(corners[:, [i, i - 1]].mean(axis=1) for i in range(3))])
     depth = -(points @ planes[:, :3].T + planes[:, 3]).max(axis=1)
     return bool(depth.max() <= CONVEX)

@@ -67,6 +67,11 @@ class Bench:
         thread.start()
         return thread
 
+    def wait_for_rest(self) -> None:
+        """Wait until a braking arm is at rest."""
+        while not self.controller.variables["$ROB_STOPPED"]:
+            threading.Event().wait(0.005)
+
 
 class SlowStation(KvpStation):
     """A proxy that needs some time for each answer."""
@@ -164,12 +169,12 @@ def test_a_stopped_program_is_held_and_goes_on(bench: Bench) -> None:
         def pause() -> None:
             bench.controller.stop_program()
             with driver_of(bench.url) as watcher:
-                threading.Event().wait(0.8)
+                bench.wait_for_rest()
                 seen.append(watcher.state())
             bench.controller.stop_program(False)
 
         thread = bench.when_moving(pause)
-        assert driver.move(FAR, 0.5).axes.tolist() == FAR[0].tolist()
+        assert driver.move(FAR, 1.0).axes.tolist() == FAR[0].tolist()
         thread.join(5.0)
     assert (seen[0].is_held, seen[0].at_rest, seen[0].mode, seen[0].queue_depth) == (True, True, Mode.IDLE, 1)
 
@@ -178,7 +183,7 @@ def test_a_program_that_does_not_run_is_named(bench: Bench, monkeypatch: pytest.
     """The message names the program and its state."""
     monkeypatch.setattr(kvp_link, "_PROGRAM_ANSWER", 0.1)
     bench.controller.stop_program()
-    url = bench.url.replace("timeout_ms=1000", "timeout_ms=200")
+    url = bench.url.replace("timeout_ms=1000&watchdog_ms=3000", "timeout_ms=200&watchdog_ms=1000")
     with driver_of(url) as driver, pytest.raises(DriverError, match=r"sc_kvp does not .*#P_STOP"):
         driver.move(NEAR, 0.3)
     assert bench.journal.of("move") == []
@@ -191,18 +196,26 @@ def test_a_silent_client_is_stopped_by_the_timer(bench: Bench) -> None:
     driver.take()
     thread = threading.Thread(target=_ignore, args=(lambda: driver.move(FAR, 0.2),), daemon=True)
     driver._link._proxy.write("$TIMER[10]", "-400")  # type: ignore[attr-defined]
-    cut = bench.when_moving(lambda: setattr(driver._link, "_read_state", _never))  # type: ignore[attr-defined]
+    silence = threading.Event()
+
+    def never() -> None:
+        silence.wait(10.0)
+        raise LinkLostError("the test has cut the link")
+
+    cut = bench.when_moving(lambda: setattr(driver._link, "_read_state", never))  # type: ignore[attr-defined]
     thread.start()
     cut.join(5.0)
-    threading.Event().wait(1.5)
     with driver_of(bench.url) as other:
-        state = other.state()
+        until = time.monotonic() + 10.0
+        while not ((state := other.state()).fault_code and state.at_rest) and time.monotonic() < until:
+            threading.Event().wait(0.02)
         assert (state.at_rest, state.fault_code) == (True, Fault.WATCHDOG)
         assert 0 < state.axes[0] < FAR[0, 0]
         other.take()
         other.reset()
         assert other.move(HOME[None], 1.0).at_rest
     driver._link.close()  # a client that is silent leaves no connection behind
+    silence.set()
     thread.join(5.0)
 
 
@@ -222,10 +235,12 @@ def test_an_answer_has_one_deadline_and_the_second_late_one_closes_the_connectio
         line = KvpLine("127.0.0.1", server.getsockname()[1], 0.3)
         line.open()
         proxy, _ = server.accept()
+        is_over = threading.Event()
 
         def drip() -> None:
             for value in kvp.answer(1, kvp.READ, "100", success=True) * 2:
-                threading.Event().wait(0.1)
+                if is_over.wait(0.1):
+                    return
                 with contextlib.suppress(OSError):
                     proxy.send(bytes([value]))
 
@@ -239,6 +254,7 @@ def test_an_answer_has_one_deadline_and_the_second_late_one_closes_the_connectio
             assert line.is_open == is_open
         with pytest.raises(LinkLostError, match="is not open"):
             line.read("$OV_PRO")
+        is_over.set()
         thread.join(10.0)
         proxy.close()
         line.open()
@@ -262,7 +278,9 @@ def test_the_session_is_exclusive(bench: Bench) -> None:
     """The program refuses the arm to a second client, and orders of other sessions move nothing."""
     with driver_of(bench.url) as driver:
         driver.take()
-        with driver_of(bench.url) as other:
+        url = bench.url.replace("timeout_ms=1000&watchdog_ms=3000", "timeout_ms=1600&watchdog_ms=5000")
+        fast = Context(KR16, clock=RealTimeClock(5.0))  # the time that a client waits for another one passes sooner
+        with KvpDriver.from_url(DriverUrl(url), fast) as other:
             bench.controller.variables["$TIMER_STOP"][10] = True  # the owner stays active
             with pytest.raises(NotOwnerError, match="owns the arm"):
                 other.move(NEAR, 0.3)
@@ -277,7 +295,7 @@ def test_a_lost_connection_is_opened_again_during_a_move(bench: Bench) -> None:
     """The move ends as if nothing had happened."""
     with driver_of(bench.url) as driver:
         thread = bench.when_moving(bench.line.drop_connections)
-        assert driver.move(FAR, 0.5).axes.tolist() == FAR[0].tolist()
+        assert driver.move(FAR, 1.0).axes.tolist() == FAR[0].tolist()
         thread.join(5.0)
 
 
@@ -287,7 +305,7 @@ def test_a_restarted_program_is_a_fault(bench: Bench) -> None:
 
         def restart() -> None:
             bench.controller.brake_for_restart()
-            threading.Event().wait(1.0)
+            bench.wait_for_rest()
             bench.controller.restart()
 
         thread = bench.when_moving(restart)
@@ -343,11 +361,6 @@ def test_values_of_krl() -> None:
     for text in ("", "{A1 1", "1 2", "{A1: }}"):
         with pytest.raises(ValueError, match=r"value|aggregate|end"):
             krl.parse(text)
-
-
-def _never() -> None:
-    threading.Event().wait(2.0)
-    raise LinkLostError("the test has cut the link")
 
 
 def _ignore(act: Callable[[], object]) -> None:

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,7 @@ from drivers.errors import (
 )
 from drivers.registry import Context, open_driver
 from drivers.setpoints import PER_DEGREE, from_rad, to_rad
+from drivers.wires import ur_link
 from tests.support.driver_bench import HOME_Q, KR16
 
 HOME = from_rad(HOME_Q)
@@ -153,7 +155,7 @@ def test_a_paused_program_is_held_and_goes_on(bench: Bench) -> None:
             bench.controller.is_paused = False
 
         thread = bench.when_moving(pause)
-        assert driver.move(FAR, 0.5).axes.tolist() == FAR[0].tolist()
+        assert driver.move(FAR, 1.0).axes.tolist() == FAR[0].tolist()
         thread.join(5.0)
     assert (seen[0].is_held, seen[0].at_rest, seen[0].mode, seen[0].queue_depth) == (True, True, Mode.IDLE, 1)
 
@@ -167,9 +169,10 @@ def test_a_silent_client_is_stopped_by_the_watchdog(bench: Bench) -> None:
     link = driver._link  # type: ignore[attr-defined]
     link.state()
     assert link.send(driver.state().ack_sequence + 1, _move(FAR, 0.2)).result == Result.OK
-    threading.Event().wait(1.5)
     with open_driver(bench.url, Context(KR16)) as other:
-        state = other.state()
+        until = time.monotonic() + 10.0
+        while not (state := other.state()).at_rest and time.monotonic() < until:
+            threading.Event().wait(0.02)
         assert state.at_rest
         assert 0 < state.axes[0] < FAR[0, 0]
         assert state.done_result == Result.STOPPED_BY_OTHER
@@ -180,7 +183,9 @@ def test_the_session_is_exclusive(bench: Bench) -> None:
     """Another client cannot write the input registers of the owner."""
     with open_driver(bench.url, Context(KR16)) as driver:
         driver.take()
-        with open_driver(bench.url, Context(KR16)) as other, pytest.raises(NotOwnerError, match="owns the arm"):
+        url = f"{bench.server.url}&timeout_ms=1600&watchdog_ms=5000"
+        fast = Context(KR16, clock=RealTimeClock(5.0))  # the time that a client waits for another one passes sooner
+        with open_driver(url, fast) as other, pytest.raises(NotOwnerError, match="owns the arm"):
             other.move(NEAR, 0.3)
         driver.move(NEAR, 0.5)
     with open_driver(bench.url, Context(KR16)) as other:
@@ -191,14 +196,15 @@ def test_a_lost_connection_is_opened_again_during_a_move(bench: Bench) -> None:
     """The move ends as if nothing had happened."""
     with open_driver(bench.url, Context(KR16)) as driver:
         thread = bench.when_moving(bench.server.drop_connections)
-        assert driver.move(FAR, 0.5).axes.tolist() == FAR[0].tolist()
+        assert driver.move(FAR, 1.0).axes.tolist() == FAR[0].tolist()
         thread.join(5.0)
 
 
 @pytest.mark.parametrize("cause", ["local control", "brakes"])
-def test_a_controller_that_runs_no_program(bench: Bench, cause: str) -> None:
+def test_a_controller_that_runs_no_program(bench: Bench, cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing moves; the message names what to check."""
-    with open_driver(bench.url, Context(KR16)) as driver:
+    monkeypatch.setattr(ur_link, "_PROGRAM_START", 0.1)
+    with open_driver(bench.url.replace("timeout_ms=1000", "timeout_ms=200"), Context(KR16)) as driver:
         if cause == "local control":
             bench.controller.is_remote = False
             with pytest.raises(StateUnknownError, match="remote control"):

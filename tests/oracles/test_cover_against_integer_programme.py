@@ -158,5 +158,5 @@ def test_the_bound_of_regions_is_no_weaker_than_the_linear_relaxation(targets: t
     costs = np.r_[np.ones(n_columns), np.zeros(len(areas))]
     relaxation = linprog(costs, A_ub=A, b_ub=np.r_[-np.ones(len(areas)), slack], bounds=(0, 1)).fun
     problem = CoverProblem(csr_array(M), areas, region=region, region_coverage=targets)
-    found = solve(problem, rng=np.random.default_rng(0))
+    found = solve(problem, rng=np.random.default_rng(0), effort_budget=2 * 10**8)
     assert np.ceil(relaxation - 1e-6) <= found.lower_bound <= len(found.views)

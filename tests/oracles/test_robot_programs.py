@@ -72,7 +72,7 @@ def language(request: pytest.FixtureRequest) -> Language:
     return LANGUAGES[request.param]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def program(planned: Path) -> Program:
     """Return the program of the small plan."""
     return load_program(planned, "PART_07", ExportOptions(), None)

@@ -16,6 +16,8 @@ from planner.measurability.visibility import find_measured
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import aim_viewpoints
 
+pytestmark = pytest.mark.usefixtures("four_threads")
+
 DISTANCES = (0.1, 0.4)
 
 

@@ -9,6 +9,8 @@ import pytest
 from cell.errors import CellError
 from cell.world.embree import HAIR, EmbreeRayCaster
 
+pytestmark = pytest.mark.usefixtures("four_threads")
+
 SQUARE = (
     np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),
     np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),

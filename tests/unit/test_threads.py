@@ -6,18 +6,9 @@ import threading
 import numpy as np
 import pytest
 
-from planner import threads
 from planner.threads import run_in_threads
 
-
-@pytest.fixture(autouse=True)
-def _four_cores(monkeypatch):
-    """Use four threads on every machine."""
-    monkeypatch.setattr(threads, "CORES", 4)
-    threads._threads.cache_clear()
-    yield
-    threads._threads().shutdown()
-    threads._threads.cache_clear()
+pytestmark = pytest.mark.usefixtures("four_threads")
 
 
 @pytest.mark.parametrize(
