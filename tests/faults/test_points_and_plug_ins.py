@@ -215,6 +215,7 @@ def test_an_interrupt_ends_the_command_too(tmp_path: Path) -> None:
         "import signal, sys, threading, os, time\n"
         "from pathlib import Path\n"
         "from tests.faults.test_points_and_plug_ins import VIEW, command\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)  # a parent may ignore it, as nohup does\n"
         "threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()\n"
         f"source = command('sh -c \"echo $$ > {tmp_path}/number; sleep 60\"', Path({str(tmp_path)!r}), 50.0, [])\n"
         "source.take(VIEW)\n"
