@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import secrets
 import shutil
 import sys
 from collections.abc import Iterator
@@ -107,21 +108,37 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield a new temporary folder; at the end of the block it replaces `path`, after an error it is removed.
 
-    The files of two processes are never mixed.
+    The files of two writers are never mixed: the last one replaces the folder of the others.
 
     Raises:
-        OSError: if the folder cannot be written.
+        OSError: if the folder cannot be written; `path` is as before.
     """
-    temporary, former = (path.with_name(f".{path.name}.{os.getpid()}.{kind}") for kind in ("part", "old"))
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    temporary.mkdir()
     try:
-        temporary.mkdir()
         yield temporary
-        with contextlib.suppress(FileNotFoundError):
-            path.rename(former)
-        temporary.rename(path)
+        while not _replace_folder(path, temporary):
+            pass
     finally:
-        for folder in (temporary, former):
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _replace_folder(path: Path, new: Path) -> bool:
+    """Replace a folder that may exist by a new one; return False if another writer put one there meanwhile."""
+    former = new.with_suffix(".old")
+    with contextlib.suppress(FileNotFoundError):
+        path.rename(former)
+    try:
+        new.rename(path)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            with contextlib.suppress(FileNotFoundError):
+                former.rename(path)
+            raise
+        return False
+    finally:
+        shutil.rmtree(former, ignore_errors=True)
+    return True
 
 
 @contextlib.contextmanager

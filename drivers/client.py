@@ -24,6 +24,7 @@ import contextlib
 import math
 import secrets
 import threading
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Final, Protocol, Self
@@ -79,24 +80,31 @@ class Link(Protocol):
     deadline: float = math.inf
     notify: Callable[[str], None] | None = None
 
+    @abstractmethod
     def open(self) -> Capabilities:
         """Open the wire and check that a controller of this protocol answers."""
 
+    @abstractmethod
     def close(self) -> None:
         """Release the wire; allowed twice."""
 
+    @abstractmethod
     def take(self, session: int) -> int:
         """Take or keep the arm; return the result of the answer. After OK all messages belong to this session."""
 
+    @abstractmethod
     def give(self) -> None:
         """Give the session back if there is one."""
 
+    @abstractmethod
     def send(self, sequence: int, command: Command) -> Answer:
         """Send one command once and wait for the answer with its number."""
 
+    @abstractmethod
     def state(self) -> RobotState:
         """Read the state. Reading is harmless, so a link may retry by itself before it gives up."""
 
+    @abstractmethod
     def time_to_wait(self) -> float:
         """Return the time [s] after which another reading of the state is useful."""
 
@@ -256,7 +264,7 @@ class ControllerClient:
     ) -> None:
         self._link, self._clock = link, clock
         self._limits, self._notify = limits, notify
-        link.notify = notify
+        link.notify = notify or link.notify
         self.on_state: Callable[[RobotState], None] | None = None
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
         self._ledger = SequenceLedger(link, secrets.randbelow(65535) + 1, self._read)

@@ -28,7 +28,7 @@ from cell.metrology import scan_files
 from cell.metrology.scan_files import PosedScan
 from cell.runs import ply
 from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, open_finished, read_execution
-from cell.scan.results import merge_execution
+from cell.scan.results import merge_execution, usable_scans
 from cell.view.palette import SIGNED
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.rigid import inverse_rigid
@@ -77,12 +77,12 @@ def write_points(run_folder: Path, out: Path, execution: str = "latest") -> int:
 
 def _scans(run: Run, recorded: RecordedExecution) -> list[PosedScan]:
     """Return the scans of an execution at the poses of its report, with the deviation of each point [mm]."""
-    if not any(len(scan.points) for scan in recorded.scans):
+    usable, _ = usable_scans(recorded, run.plan.views)
+    if not any(len(scan.points) for scan in usable):
         raise FileError(f"{recorded.folder} has no points; scan again")
     nearest = ClosestPointQuery(run.reference)
     scans = []
-    poses = merge_execution(run, recorded, recorded.scans, nearest).poses
-    for scan, T in zip(recorded.scans, poses, strict=True):
+    for scan, T in zip(usable, merge_execution(run, recorded, usable, nearest).poses, strict=True):
         points = transform_points(inverse_rigid(scan.T_reported), scan.points)
         deviation = nearest.signed_distance(transform_points(T, points)) * 1000.0 if len(points) else np.zeros(0)
         scans.append(PosedScan(points, T, deviation, _pixels(scan), scan.stop))

@@ -267,7 +267,8 @@ class Command:
         if not self._words:
             raise UsageError("--acquire command: names no command; give --acquire 'command:my_scanner --fast'")
         if shutil.which(self._words[0]) is None:
-            raise UsageError(f"--acquire command:{argument}: there is no program {self._words[0]}; give its path")
+            cause = "is not executable" if Path(self._words[0]).is_file() else "is not found; give its path"
+            raise UsageError(f"--acquire command:{argument}: the program {self._words[0]} {cause}")
         self._frame, self._unit = frame_and_unit(context)
         self._timeout, self._notify = float(context.options["acquire_timeout_s"]), context.notify
         self._raw = context.folder / "raw"

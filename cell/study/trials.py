@@ -295,7 +295,7 @@ class Processes(Workers):
             # spawn: a forked child would inherit the threads of ray engine and solver in an unknown state.
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_end_with_parent)
-        return self._pool.submit(compute, trial, trial.digest)
+        return self._pool.submit(_compute_in_worker, trial, trial.digest)
 
     def close(self) -> None:
         """End the processes, also those that compute: the exit of Python would wait for them."""
@@ -306,6 +306,14 @@ class Processes(Workers):
             for process in running:
                 process.terminate()
             self._pool = None
+
+
+def _compute_in_worker(trial: Trial, digest: str) -> Outcome:
+    """Compute a trial; a worker that is terminated meanwhile ends, and takes no other trial."""
+    try:
+        return compute(trial, digest)
+    except SystemExit:
+        os._exit(1)
 
 
 def _end_with_parent() -> None:

@@ -180,7 +180,7 @@ class Stream:
             self._check_silence()
             self._check_client()
             if 0 < self._ending < _LAST_ANSWERS and self._silent_for() > HELD_AFTER:
-                break  # the controller has received one of the answers that end RSI
+                break  # the controller sends no more: it has received an answer that ends RSI, or is gone
 
     def _answer_newest(self) -> None:
         """Answer the newest telegram; older ones that wait are late already."""

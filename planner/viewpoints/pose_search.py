@@ -10,7 +10,7 @@ rounds the best candidate is proposed as well. Of many views several are left ou
 candidates are added one by one.
 
 When the table says that the goal is reached, exact rays on other samples decide; a shortfall there raises the goal.
-Views that pass are the new start, with one view less. The last part of the effort moves the fewest views to a larger
+Views that pass are the new start of a search for fewer. The last part of the effort moves the fewest views to a larger
 area. Effort is counted in evaluated poses. Object frame, metres.
 """
 
@@ -40,7 +40,7 @@ _SHARE_OF_REMOVAL = 0.04  # of the effort, after which one of several views that
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
-_TEMPERATURE = 3e-4  # share of the surface; from `_MANY_VIEWS` on the sum over all views does not grow
+_TEMPERATURE = 3e-4  # share of the surface; with more than `_MANY_VIEWS` divided among them
 _RETURNS = 5  # returns to the best views after which the search begins again without other views
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
@@ -201,9 +201,10 @@ class _Search:
         remaining = self._needed_most(measured, removed)
         self._set(start.pick(remaining), measured[remaining])
         begin, returns = self.evaluated, 0
+        share = min(_SHARE_OF_REMOVAL * effort, (effort - self.evaluated) / (2 * removed))
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
         while self.evaluated < effort:
-            if removed > 1 and self.evaluated - begin > _SHARE_OF_REMOVAL * effort:
+            if removed > 1 and self.evaluated - begin > share:
                 self._set(*best)
                 self._add_from_pool()
                 removed, begin, best_area = removed - 1, self.evaluated, 0.0

@@ -73,6 +73,16 @@ def test_registered_points_of_one_view(planned: Path, tmp_path: Path) -> None:
     assert set(laspy.read(tmp_path / "points.las").point_source_id) == {2}
 
 
+def test_a_changed_scan_is_left_out_as_in_the_report(executed: Path, tmp_path: Path) -> None:
+    """The points of a scan that differs from the manifest are not written."""
+    shutil.copytree(executed, tmp_path / "run")
+    scans = sorted((tmp_path / "run").glob("executions/0001/scans/*.npz"))
+    shutil.copyfile(scans[1], scans[0])
+    api.points(tmp_path / "run", tmp_path / "points.csv")
+    table = np.loadtxt(tmp_path / "points.csv", delimiter=",", skiprows=1)
+    assert set(table[:, 4]) == set(range(2, len(scans) + 1))
+
+
 @pytest.mark.parametrize("kind", [".ply", ".stl", ".obj", ".glb"])
 def test_surface_of_an_execution(kind: str, executed: Path, tmp_path: Path) -> None:
     """The same surface; PLY, OBJ and GLB show the deviation."""

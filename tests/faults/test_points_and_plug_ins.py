@@ -65,8 +65,11 @@ def test_the_message_about_a_failed_command_has_its_last_line(tmp_path: Path) ->
     notes: list[str] = []
     assert command("sh -c 'echo one; echo the laser is off >&2; exit 3'", tmp_path, 5.0, notes).take(VIEW) is None
     assert "sh ended with code 3, its last line is: the laser is off (3 calls)" in notes[0]
-    with pytest.raises(UsageError, match=r"there is no program ./no_scanner"):
+    with pytest.raises(UsageError, match=r"the program ./no_scanner is not found; give its path"):
         command("./no_scanner --fast", tmp_path, 5.0, notes)
+    (tmp_path / "scanner").touch(mode=0o600)
+    with pytest.raises(UsageError, match=r"the program .*scanner is not executable"):
+        command(f"{tmp_path / 'scanner'} --fast", tmp_path, 5.0, notes)
 
 
 @pytest.mark.parametrize(

@@ -103,19 +103,20 @@ def test_a_started_trial_whose_process_died_is_computed_again(
 
 
 def sleep(settings: dict[str, Any]) -> dict[str, object]:
-    """Sleep in a temporary folder, with the process number in its file."""
+    """Sleep in a temporary folder."""
     with tempfile.TemporaryDirectory(dir=settings["folder"]) as folder:
         (Path(folder) / "started").touch()
         time.sleep(1000)
     return {}
 
 
-def test_a_started_trial_ends_with_its_workers(tmp_path: Path) -> None:
-    """Its process ends without its result, and removes its temporary folder."""
+def test_started_trials_end_with_their_workers(tmp_path: Path) -> None:
+    """Of more trials than processes none goes on, and the temporary folders are removed."""
     with Processes(2) as workers:
-        workers.start([Trial.of(sleep, {"folder": str(tmp_path)})])
+        workers.start([Trial.of(sleep, {"folder": str(tmp_path), "number": number}) for number in range(5)])
         running = multiprocessing.active_children()
-        while not list(tmp_path.glob("*/started")):
+        deadline = time.monotonic() + 60
+        while len(list(tmp_path.glob("*/started"))) < 2 and time.monotonic() < deadline:
             time.sleep(0.02)
     for process in running:
         process.join(20)

@@ -1,5 +1,6 @@
 """Files that are written completely or not at all."""
 
+import contextlib
 import errno
 import os
 from pathlib import Path
@@ -55,23 +56,47 @@ def test_a_picture_that_cannot_be_written_leaves_no_file(tmp_path: Path, monkeyp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_has_the_files_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two processes that write a folder at once, the last one replaces it. An error leaves the former content."""
-    for process in (1, 2):
-        monkeypatch.setattr("os.getpid", lambda process=process: process)
+def test_a_folder_has_the_files_of_one_writer(tmp_path: Path) -> None:
+    """Of two writers of a folder at once, the last one replaces it. An error leaves the former content."""
+    for number in (1, 2):
         with atomic_folder(tmp_path / "why") as first:
-            (first / "a").write_text(f"first {process}")
-            monkeypatch.setattr("os.getpid", lambda process=process: 10 + process)
+            (first / "a").write_text(f"first {number}")
             with atomic_folder(tmp_path / "why") as second:
                 (second / "a").write_text("second")
                 (second / "b").write_text("second")
             (first / "c").write_text("first")
         assert sorted(path.name for path in (tmp_path / "why").iterdir()) == ["a", "c"]
-        assert (tmp_path / "why" / "a").read_text() == f"first {process}"
+        assert (tmp_path / "why" / "a").read_text() == f"first {number}"
     with pytest.raises(ZeroDivisionError), atomic_folder(tmp_path / "why"):
         raise ZeroDivisionError
     assert [path.name for path in tmp_path.iterdir()] == ["why"]
     assert (tmp_path / "why" / "c").exists()
+
+
+@pytest.mark.parametrize("is_other_first", [True, False])
+def test_a_folder_that_cannot_be_replaced_is_as_before(
+    is_other_first: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder that another writer puts there between the two renames is replaced; another failure restores it."""
+    path, rename = tmp_path / "why", Path.rename
+    path.mkdir()
+    (path / "former").touch()
+
+    def disturbed(self: Path, target: Path) -> Path:
+        if target == path and self.suffix == ".part" and (is_other_first or not path.exists()):
+            monkeypatch.setattr(Path, "rename", rename)
+            if not is_other_first:
+                raise OSError(errno.ENOSPC, "No space left")
+            path.mkdir()
+            (path / "other").touch()
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", disturbed)
+    expected = contextlib.nullcontext() if is_other_first else pytest.raises(OSError, match="No space left")
+    with expected, atomic_folder(path) as new:
+        (new / "new").touch()
+    assert [each.name for each in path.iterdir()] == ["new" if is_other_first else "former"]
+    assert [each.name for each in tmp_path.iterdir()] == ["why"]
 
 
 def test_the_page_of_a_run_does_not_replace_a_pipe(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
