@@ -264,7 +264,8 @@ class ControllerClient:
     ) -> None:
         self._link, self._clock = link, clock
         self._limits, self._notify = limits, notify
-        link.notify = notify or link.notify
+        if notify is not None:
+            link.notify = notify
         self.on_state: Callable[[RobotState], None] | None = None
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
         self._ledger = SequenceLedger(link, secrets.randbelow(65535) + 1, self._read)
