@@ -282,8 +282,9 @@ def _select_arm(
         file_warnings.append(f"{path.name} has soft limits, which are used: {', '.join(extras.soft)}")
     if _flange_tilt(model, end, chain[-1]) > np.pi / 4:
         file_warnings.append(
-            f"{path.name}: z of the link '{end}' is across A6, and z of the flange must leave its face (in ROS x of "
-            "'flange' and 'ee_link' does): name another link as robot.flange_link, or turn the scanner by mount.abc_deg"
+            f"{path.name}: z of the link '{end}' is across A6, but z of the flange must point out of its face (in "
+            "ROS x of 'flange' and 'ee_link' does): name another link as robot.flange_link, or turn the scanner by "
+            "mount.abc_deg"
         )
     home = _home(model, model.jnt_qposadr[chain])
     if home is not None and not ((home >= lower) & (home <= upper)).all():

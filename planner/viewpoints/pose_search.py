@@ -201,10 +201,10 @@ class _Search:
         remaining = self._needed_most(measured, removed)
         self._set(start.pick(remaining), measured[remaining])
         begin, returns = self.evaluated, 0
-        share = min(_SHARE_OF_REMOVAL * effort, (effort - self.evaluated) / (2 * removed))
+        part = min(_SHARE_OF_REMOVAL * effort, (effort - self.evaluated) / (2 * removed))
         best, best_area, since = (self.views, self.measured.copy()), self._area(), 0
         while self.evaluated < effort:
-            if removed > 1 and self.evaluated - begin > share:
+            if removed > 1 and self.evaluated - begin > part:
                 self._set(*best)
                 self._add_from_pool()
                 removed, begin, best_area = removed - 1, self.evaluated, 0.0
