@@ -60,11 +60,6 @@ gc.disable()
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def pytest_xdist_auto_num_workers() -> int | None:
-    """Return one worker more than cores: some tests wait for a wire, a process or a browser."""
-    return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else threads.CORES + 1
-
-
 def pytest_collection_finish() -> None:
     """Freeze the objects of the collection and enable the garbage collector."""
     gc.freeze()
