@@ -10,7 +10,6 @@ arm with KUKA's axes; the program of another arm has neither and is not written 
 """
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -24,6 +23,7 @@ from cell.errors import UsageError
 from cell.export.names import check_name
 from cell.export.options import ExportOptions, Language
 from cell.robot.arm import chain_of, kinematics_of
+from cell.robot.makers import maker_language
 from cell.runs import current_scene
 from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
@@ -34,15 +34,6 @@ from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.ports import ARM_AXES, JointLimits, Kinematics, axis_name
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
-
-_MAKERS: tuple[tuple[str, Language | None], ...] = (
-    (r"kuka|(?<![a-z])kr_?\d", "krl"),
-    (r"abb|(?<![a-z])irb", "rapid"),
-    (r"universal|(?<![a-z])ur_?(3|5|7|8|10|12|15|16|18|20|30)", "urscript"),
-    (r"fanuc|(?<![a-z])(lr_?mate|crx|[mr]_?\d+i)", "ls"),
-    (r"yaskawa|motoman|(?<![a-z])(gp|hc|mh|ar)_?\d", None),
-)
-"""Patterns of names of robot files, and the language of the maker; None: INFORM."""
 
 AT_STOP_DEG = 0.1
 """Largest deviation of each axis from the end of the last motion at which a program continues."""
@@ -381,15 +372,15 @@ def language_of(robot: str) -> Language:
     Raises:
         UsageError: if the name shows no maker, or one without a program.
     """
-    for pattern, language in _MAKERS:
-        if re.search(pattern, Path(robot).stem.lower()):
-            if language is None:
-                raise UsageError(
-                    f"a program for {robot} in INFORM has pulses in place of angles, and the robot's file has no "
-                    "pulses per degree; choose --format csv or json"
-                )
-            return language
-    raise UsageError(f"the name of the robot's file, {robot}, shows no maker; choose --format, for instance json")
+    language = maker_language(robot)
+    if language == "inform":
+        raise UsageError(
+            f"a program for {robot} in INFORM has pulses in place of angles, and the robot's file has no pulses per "
+            "degree; choose --format csv or json"
+        )
+    if language is None:
+        raise UsageError(f"the name of the robot's file, {robot}, shows no maker; choose --format, for instance json")
+    return language
 
 
 def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:

@@ -350,9 +350,8 @@ def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Mo
     from cell.view.page import second_half
     from cell.view.run_pages import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
 
-    second = second_half(
-        plan_contents(report, plan.views, motion, world.T_base_object, commands_of(report, world.model))
-    )
+    commands = commands_of(report, world, Path(world.scene.robot.model).name)
+    second = second_half(plan_contents(report, plan.views, motion, world.T_base_object, commands))
     adopt_plots(session)
     half = session.folder.path / PARTIAL_PAGE_FILE
     session.folder.write_text(PAGE_FILE, half.read_text(encoding="utf-8") + second)

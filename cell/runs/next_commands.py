@@ -1,14 +1,11 @@
 """Commands that follow a finished plan, as far as it supports them; printed by the command line and shown in pages."""
 
-from typing import TYPE_CHECKING
-
-from cell.robot.model import dimensions
+from cell.robot.makers import maker_language
+from cell.robot.model import KR16, dimensions
 from cell.runs.cell import world_of
 from cell.runs.run import Run
 from cell.runs.schema import Report
-
-if TYPE_CHECKING:
-    import mujoco
+from cell.world.model import World
 
 
 def after_plan(run: Run, name: str = "RUN") -> list[tuple[str, ...]]:
@@ -18,22 +15,38 @@ def after_plan(run: Run, name: str = "RUN") -> list[tuple[str, ...]]:
         run: finished plan.
         name: of its folder in the commands.
     """
-    own_model = None if run.scene.robot is None else world_of(run, run.reference).model
-    return commands_of(run.report, own_model, name)
+    robot = run.scene.robot
+    if robot is None:
+        return commands_of(run.report, None, KR16, name)
+    return commands_of(run.report, world_of(run, run.reference), robot.name, name)
 
 
-def commands_of(report: Report, model: "mujoco.MjModel | None", name: str = "RUN") -> list[tuple[str, ...]]:
+def commands_of(report: Report, world: World | None, robot: str, name: str = "RUN") -> list[tuple[str, ...]]:
     """Return the commands that execute, explain and export a plan.
 
     Args:
         report: of the plan.
-        model: compiled cell of another robot; None: the built-in one.
+        world: compiled cell; None: that of the built-in robot.
+        robot: name of the robot's file, or "kr16".
         name: of the run folder in the commands.
     """
-    # KRL is for KUKA's axes, and for sweeps along straight lines.
-    has_krl = (model is None or dimensions(model) is not None) and not report.settings.own.get("sweep_deg")
-    exported = ("cell", "export", name, *([] if has_krl else ["--format", "csv"]))
+    exported = ("cell", "export", name, *([] if _has_program(report, world, robot) else ["--format", "csv"]))
     return [("cell", "scan", name), ("cell", "why", name), exported]
+
+
+def _has_program(report: Report, world: World | None, robot: str) -> bool:
+    """Return whether `cell export` can write a plan in the language of the robot's maker."""
+    if report.settings.own.get("sweep_deg"):
+        return False
+    match maker_language(robot):
+        case "krl":
+            return world is None or dimensions(world.model) is not None
+        case "urscript":
+            return world is None or world.table is None
+        case "rapid" | "ls":
+            return True
+        case _:
+            return False
 
 
 def drop_command(report: Report, number: int, name: str = "RUN") -> tuple[str, ...] | None:

@@ -13,6 +13,7 @@ import typer
 
 from cell.cli import app
 from cell.runs.digest import SHORT_DIGEST
+from cell.runs.next_commands import commands_of
 from cell.runs.run import open_run
 from tests.support.fixture_types import RunCommand
 from tests.unit.test_robot_file import urdf, written
@@ -143,7 +144,7 @@ def test_after_a_plan_of_a_number_of_views(n_views: int, run_cell: RunCommand, p
 
 
 def test_after_a_plan_of_another_arm(run_cell: RunCommand, part_file: Path, tmp_path: Path) -> None:
-    """KRL is for KUKA's axes, so that a table is proposed for another arm."""
+    """The name of the robot's file shows no maker, so that a table is proposed."""
     path = written(tmp_path, urdf())
     (tmp_path / "cell.toml").write_text(f'[robot]\nmodel = "{path}"\n')
     process = run_cell(
@@ -155,6 +156,20 @@ def test_after_a_plan_of_another_arm(run_cell: RunCommand, part_file: Path, tmp_
     follower.follow(process)
     assert ["cell", "export", "run", "--format", "csv"] in printed_commands(process)
     assert "cell export RUN --format csv" in (tmp_path / "run" / "view.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("robot", "options"),
+    [
+        ("irb1200.urdf", ()), ("ur5e.urdf", ()), ("m10ia.xml", ()), ("kr10.urdf", ()),
+        ("gp25.urdf", ("--format", "csv")), ("arm.urdf", ("--format", "csv")),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("planned_process")
+def test_the_export_of_an_arm_with_a_language(robot: str, options: tuple[str, ...], tmp_path: Path) -> None:
+    """The proposed export is in the language of the robot's maker; a table only if there is none."""
+    report = open_run(tmp_path / "run").report
+    assert commands_of(report, None, robot)[-1] == ("cell", "export", "RUN", *options)
 
 
 @pytest.mark.slow
