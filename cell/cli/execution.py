@@ -157,7 +157,7 @@ def explore(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure a part without a model: a first ring of views, then the uncovered surface, batch by batch.
+    """Measure a part without a model: first views of its cylinder, then the uncovered surface, batch by batch.
 
     PART is in the simulated cell; the planning does not use it. --max-views is the budget of views.
     """
@@ -266,7 +266,8 @@ def _group() -> None:
 def hand_eye(
     *,
     files: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, PCD or text).")
+        list[Path],
+        typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (files as for cell locate)."),
     ],
     options: HandEyeOptions,
     as_json: AsJson = False,

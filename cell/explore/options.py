@@ -56,7 +56,10 @@ class ExploreOptions(Table):
     ring: Annotated[
         int | None,
         Field(ge=1),
-        Option("Number of first views, aimed into the cylinder. Default: 1 for stepwise, 6 for two-stage.", _EXPLORE),
+        Option(
+            "Number of first views, which cover most of the cylinder. Default: 1 for stepwise, 6 for two-stage.",
+            _EXPLORE,
+        ),
     ] = None
     batch: Annotated[int, Field(ge=1), Option("Views per batch (stepwise).", _EXPLORE)] = 1
     min_gain: Annotated[

@@ -36,8 +36,8 @@ class LocateOptions(Table):
     points: Annotated[
         str | None,
         Option(
-            "File of points on the part (PLY, XYZ, TXT or PCD), or a folder with one file a view, named by its number: "
-            "best fit.",
+            "File of points on the part (PLY, PCD, E57, PTX, LAS, LAZ or text), or a folder with one file a view, "
+            "named by its number: best fit.",
             _MEASURED,
             metavar="FILE|DIR",
         ),

@@ -93,9 +93,9 @@ class ScanOptions(CurrentFiles):
     acquire: Annotated[
         str,
         Option(
-            "Source of the points: simulated; files:DIR, one PLY, PCD or text file per view, named by its number; "
-            "command:CMD, called with view, pose and the file to write; genicam:DEVICE, a 3D camera; or another "
-            "installed source.",
+            "Source of the points: simulated; files:DIR, one PLY, PCD, E57, PTX, LAS, LAZ or text file per view, named "
+            "by its number; command:CMD, called with view, pose and the file to write; genicam:DEVICE, a 3D camera; or "
+            "another installed source.",
             _POINTS,
             metavar="SOURCE",
         ),
@@ -116,7 +116,8 @@ class ScanOptions(CurrentFiles):
     speed: Annotated[
         SpeedShare | None,
         Option(
-            "Share of the planned speed. Default: 1 in simulation; 0.1 of the axis speeds on a real controller.",
+            "Share of the plan's speed. Default: 1 in simulation; on a real controller the share that gives a tenth of "
+            "the axis speeds, at most 1.",
             REAL_ROBOT,
             metavar="SHARE",
         ),
