@@ -350,7 +350,7 @@ def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Mo
     from cell.view.page import second_half
     from cell.view.run_pages import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
 
-    commands = commands_of(report, world, Path(world.scene.robot.model).name)
+    commands = commands_of(report, world, world.scene.robot.name)
     second = second_half(plan_contents(report, plan.views, motion, world.T_base_object, commands))
     adopt_plots(session)
     half = session.folder.path / PARTIAL_PAGE_FILE

@@ -268,6 +268,7 @@ def scene_of_run(run: Run, without: Collection[str] = ()) -> Scene:
         scanner["sensor"] = run.report.settings.sensor
     return scene.model_copy(
         update={
+            "robot": scene.robot if resolved.robot is None else scene.robot.with_name(resolved.robot.name),
             "scanner": scene.scanner.model_copy(update=scanner),
             "plan": scene.plan.model_copy(update={"percent_kept": resolved.plan.percent_kept}),
             # Their selectors are applied already: the run's mesh stores the region of each face.

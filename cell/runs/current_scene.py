@@ -269,7 +269,7 @@ def _limits(verified: VerifiedPlan, scene: Scene) -> list[object]:
 def _names_robot(verified: VerifiedPlan, scene: Scene) -> bool:
     """Return whether a scene names the robot of the plan."""
     planned = verified.scene.robot.name if verified.scene.robot is not None else KR16
-    return Path(scene.robot.model).name == planned
+    return scene.robot.name == planned
 
 
 def _close(one: object, other: object) -> bool:

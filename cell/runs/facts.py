@@ -4,7 +4,6 @@ Millimetres and degrees, as the keys of the files say.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal, TypedDict
 
 import numpy as np
@@ -55,7 +54,7 @@ def resolved_robot(scene: Scene) -> ResolvedRobot | None:
     if model == KR16 and scene.robot.base is None:
         return None
     return ResolvedRobot(
-        model="kr16" if model == KR16 else "robot.xml", name=Path(model).name, T_base=scene.robot.T_base
+        model="kr16" if model == KR16 else "robot.xml", name=scene.robot.name, T_base=scene.robot.T_base
     )
 
 

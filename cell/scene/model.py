@@ -21,6 +21,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
+    PrivateAttr,
     ValidationError,
     ValidationInfo,
     field_validator,
@@ -357,6 +358,19 @@ class Robot(Table):
     def _folders(cls, packages: dict[str, str] | None, info: ValidationInfo) -> dict[str, str] | None:
         folder = Path((info.context or {}).get("folder", Path.cwd()))
         return packages and {name: str(folder / Path(path).expanduser()) for name, path in packages.items()}
+
+    _name: str = PrivateAttr("")
+
+    @property
+    def name(self) -> str:
+        """Name of the model's file, of the original one for a run's copy; or kr16."""
+        return self._name or Path(self.model).name
+
+    def with_name(self, name: str) -> Self:
+        """Return the same robot with the name of the original file."""
+        robot = self.model_copy()
+        robot._name = name
+        return robot
 
     @property
     def settled_home_deg(self) -> tuple[float, ...]:

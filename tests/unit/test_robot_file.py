@@ -512,6 +512,9 @@ def test_an_arm_from_a_file_is_planned_verified_and_driven(tmp_path: Path, run_c
     run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *options, "--out=run", cwd=tmp_path, code=0)
     assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
     run_cell("scan", "run", cwd=tmp_path, code=0)
+    run_cell("edit", "run", "--keep-order", "--out=edited", cwd=tmp_path, code=0)
+    assert json.loads((tmp_path / "edited/scene.resolved.json").read_text())["robot"]["name"] == "arm.urdf"
+    run_cell("export", "edited", "--format=csv", "--scene=cell.toml", cwd=tmp_path, code=0)
     process = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
     assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in process.stderr, process.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
