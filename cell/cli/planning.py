@@ -240,7 +240,7 @@ def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
         for number, advice in enumerate(advice_list, 1)
     ]
     title = f"This plan measures {100 * visible:.2f} % of the surface"
-    terminal.print_table(("", "change", "coverage by any pose"), rows, title)
+    terminal.print_table(("", "change", "coverage, at least (found by search)"), rows, title)
     for number, advice in enumerate(advice_list, 1):
         terminal.print(f"{number}: {advice.command}")
 

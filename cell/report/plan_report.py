@@ -109,17 +109,21 @@ def _attainable_row(report: Report) -> Rows:
 def attainable_sentence(visible: float, coverable: float, attainable: Attainable) -> str:
     """Compare visible with attainable coverage; name the largest loss if little is measured."""
     sentence = (
-        f"{100 * attainable.share:.2f} % of the surface by any pose of this robot (standard error "
-        f"{100 * attainable.standard_error:.2f}); this plan measures {100 * visible:.2f} %"
+        f"at least {100 * attainable.share:.2f} % of the surface by any pose of this robot (found by search, standard "
+        f"error {100 * attainable.standard_error:.2f}); this plan measures {100 * visible:.2f} %"
     )
     if visible >= LOW_COVERAGE:
         return sentence
     losses = (
         (
             attainable.out_of_reach,
-            "the arm reaches no pose that sees it (cell place finds another placement, cell why a second set-up)",
+            "the search found no reachable pose that sees it (cell place finds another placement, cell why a second "
+            "set-up)",
         ),
-        (attainable.out_of_sight, "no pose sees it past the part and its surroundings within the scanner's limits"),
+        (
+            attainable.out_of_sight,
+            "the search found no pose that sees it past the part and its surroundings within the scanner's limits",
+        ),
         (attainable.share - coverable, "no candidate measures it, though other poses would (--candidates grown)"),
         (coverable - visible, "the request did not include it (--coverage, --max-views)"),
     )

@@ -13,9 +13,9 @@ from planner.values import Floats
 _CAUSES = {
     "not_selected": "candidates measure it, and less was requested (--coverage)",
     "in_contact": "a support touches it in every set-up",
-    "out_of_reach": "the arm reaches no pose that sees it (use another placement, or [[setup]] tables)",
+    "out_of_reach": "the search found no reachable pose that sees it (use another placement, or [[setup]] tables)",
     "other_poses": "no candidate measures it, though other poses would (--candidates grown, --faces)",
-    "out_of_sight": "no pose sees it past the part and its surroundings",
+    "out_of_sight": "the search found no pose that sees it past the part and its surroundings",
 }
 
 

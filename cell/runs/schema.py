@@ -490,12 +490,12 @@ class ReportSettings(OpenTable):
 
 
 class Attainable(JsonTable):
-    """Coverage by any pose of this robot, estimated by search."""
+    """Coverage by any pose of this robot, a lower estimate found by search."""
 
     share: float = Field(description="attainable coverage on the held-out samples")
     standard_error: float = Field(description="standard error of the share, since a subset of the samples is searched")
     samples: int = Field(description="number of searched samples")
-    out_of_reach: float = Field(description="share that is visible only from poses outside the arm's reach")
+    out_of_reach: float = Field(description="share that is visible only from tried poses outside the arm's reach")
     out_of_sight: float = Field(description="share that is visible from no tried pose")
 
 
@@ -993,9 +993,9 @@ class UncoveredShares(JsonTable):
         description="measured by a candidate of a set-up candidate, but not needed for the target"
     )
     in_contact: float = Field(description="in contact with a support in every selected set-up")
-    out_of_reach: float = Field(description="visible in a selected set-up only from poses outside the arm's reach")
+    out_of_reach: float = Field(description="visible in a used set-up only from tried poses outside the arm's reach")
     other_poses: float = Field(description="measurable from a reachable pose that is not a candidate")
-    out_of_sight: float = Field(description="visible from no pose past the part and its surroundings")
+    out_of_sight: float = Field(description="visible from no tried pose past the part and its surroundings")
     standard_error: float = Field(description="largest standard error of the last three, estimated from samples")
 
 

@@ -99,8 +99,10 @@ def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
 def test_the_sentence_names_the_largest_loss_if_little_is_measured():
     """Below four fifths of the surface the sentence states the largest loss; above, only the measured share."""
     found = Attainable(share=0.75, standard_error=0.001, samples=1000, out_of_reach=0.2, out_of_sight=0.05)
-    assert attainable_sentence(0.85, 0.9, found.model_copy(update={"share": 0.91})).endswith("measures 85.00 %")
+    high = attainable_sentence(0.85, 0.9, found.model_copy(update={"share": 0.91}))
+    assert high.startswith("at least 91.00 % of the surface by any pose of this robot (found by search, ")
+    assert high.endswith("measures 85.00 %")
     low = attainable_sentence(0.7, 0.74, found)
-    assert "20.0 % of the surface is lost because the arm reaches no pose that sees it" in low
+    assert "20.0 % of the surface is lost because the search found no reachable pose that sees it" in low
     low = attainable_sentence(0.44, 0.74, found)
     assert "30.0 % of the surface is lost because the request did not include it" in low
