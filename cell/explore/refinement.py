@@ -1,7 +1,7 @@
 """Refine candidates of a batch towards more uncovered surface.
 
 A candidate is aimed at one patch. The search starts from the best candidates and finds views of several patches, which
-adds 10 to 25 %. Each is refined as if it were the only view; the selection then uses all candidates. The search is
+adds 8 to 25 %. Each is refined as if it were the only view; the selection then uses all candidates. The search is
 evaluated on the scouts, the selection on the rows of the matrix. It is a pattern search (Kolda, Lewis, Torczon 2003,
 doi:10.1137/S003614450242889): nothing is random, and the measured area never falls.
 """

@@ -1,8 +1,8 @@
-"""Estimate the attainable share of the surface: the bound on every plan, over all poses that the arm takes up.
+"""Estimate the attainable share of the surface, over all poses that the arm takes up.
 
 A pose is searched for each of a few surface points (`pose_sampling`): with a range of the sequence, then with poses
 transferred from points that have one, then with a longer range. A point without a pose is not proven unattainable: the
-share is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/internals/candidates.md).
+share is a lower estimate, which more draws may raise.
 
 A point without a pose has one of two reasons: no tried pose sees it past part and occluders, or some do and the arm
 reaches none of them.

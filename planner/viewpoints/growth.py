@@ -30,7 +30,7 @@ from planner.viewpoints.pose_sampling import (
 )
 
 N_SCOUTS = 20_000
-"""Points of the surface for which candidates grow; docs/internals/candidates.md charts coverable area over them."""
+"""Points of the surface for which candidates grow."""
 
 MULTIPLICITY = 3
 """Grown candidates per point that no other candidate measures, if there are as many."""
