@@ -12,7 +12,7 @@ import numpy as np
 
 from cell.errors import DriverFailureError
 from cell.scan.execution import ExecutionPlan, Segment, is_at
-from cell.world import clearance
+from cell.world.clearance import MotionClearance, motion_clearance
 from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import RobotState
 from drivers.setpoints import format_axes
@@ -35,22 +35,25 @@ class RemainingMotion:
     plan: ExecutionPlan
     approach_path: Floats | None
 
-    def notes(self, n_scanned: int, checker: MujocoCollisionChecker) -> list[str]:
-        """Return notes about the views and the approach path; `n_scanned` views are confirmed."""
+    def clearance(self, checker: MujocoCollisionChecker) -> MotionClearance | None:
+        """Return the smallest distances of the approach path; None without one."""
+        if self.approach_path is None:
+            return None
+        return motion_clearance(checker, self.approach_path, np.zeros(len(self.approach_path), dtype=np.int64), 1)
+
+    def notes(self, n_scanned: int, clearance: MotionClearance | None) -> list[str]:
+        """Return notes about the views and the approach path with its clearance; `n_scanned` views are confirmed."""
         stops = self.plan.stops
         stop_list = ", ".join(str(stop) for stop in stops[:_N_LISTED]) + (", ..." if len(stops) > _N_LISTED else "")
         notes = [
             f"{n_scanned} views are scanned already; {len(stops)} remain" + (f" ({stop_list})" if stop_list else "")
         ]
-        if self.approach_path is not None:
+        if self.approach_path is not None and clearance is not None:
             goal = f"view {stops[0]}" if stops else "home"
             moves = len(self.approach_path) - 1
-            path_clearance = clearance.motion_clearance(
-                checker, self.approach_path, np.zeros(moves + 1, dtype=np.int64), 1
-            )
             notes.append(
                 f"the arm is not where the plan continues; a new path to {goal} was planned: {moves} moves, nearest "
-                f"{1000 * path_clearance.distance[0]:.1f} mm ({path_clearance.between[0] or 'nothing near'})"
+                f"{1000 * clearance.distance[0]:.1f} mm ({clearance.between[0] or 'nothing near'})"
             )
         return notes
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from cell.session import Confirm
 from drivers.contract import Driver, RobotState
 from drivers.setpoints import from_rad
 from drivers.status import latched_fault
+from drivers.wire import Timeouts
+from planner.timing.motion import Motion
 
 try:
     import fcntl
@@ -38,6 +41,7 @@ HARDWARE_SPEED = 0.1
 ANY_MOTION = "every motion"
 """Value of a confirmation for every motion of a larger task, whatever path it takes."""
 
+_REPORT_AGE = 0.04  # s, of the axes that a controller reports (docs/internals/protocol.md)
 _RAY_BYTES = 250  # memory for each ray while a view is scanned: directions, hits, normals and their copies
 _POINT_BYTES = 60  # memory for each ray of all views when their points are merged
 _STORED_BYTES = 66  # disk for each ray of all views: point, face, pixel and code, and the point in the merged cloud
@@ -203,6 +207,37 @@ def placement_warning(options: ScanOptions, cell: RunCell, clearance: float) -> 
     return (
         f"the part may be displaced by up to {1000 * moved:.1f} mm, and the smallest clearance of the motion is "
         f"{1000 * clearance:.1f} mm: locate the part with cell locate first, or plan with a larger clearance"
+    )
+
+
+def watch_warning(
+    plan: ExecutionPlan, motion: Motion, cell: RunCell, options: ScanOptions, speed: float, reserve: float
+) -> str:
+    """Return a warning if the path watch may stop a deviating arm only after contact, else "".
+
+    An arm that is farther from its path than the tolerance keeps its speed until the next poll of a state with delay.
+
+    Args:
+        plan: segments to drive.
+        motion: of the plan, with the limits of its timing.
+        cell: of the run.
+        options: URL of the driver.
+        speed: fraction of the axis speeds.
+        reserve: proven clearance of the segments without the tolerance of their path [m].
+    """
+    via = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
+    steps, share = np.linspace(via[:-1], via[1:], 33), speed / cell.scene.speed_scaling
+    q_from, q_to = (each.reshape(-1, via.shape[1]) for each in (steps[:-1], steps[1:]))
+    seconds = (np.abs(q_to - q_from) / (share * motion.limits.velocity)).max(axis=1)
+    moved = cell.travel.displacement(q_from, q_to)[seconds > 0] / seconds[seconds > 0]
+    reached = float(moved.max(initial=0.0))
+    poll = float(dict(parse_qsl(urlsplit(options.driver).query)).get("poll_ms", 1000 * Timeouts.poll)) / 1000
+    covered = reserve / (poll + _REPORT_AGE)
+    if reached <= covered:
+        return ""
+    return (
+        f"the path watch stops a deviating arm before contact up to {1000 * covered:.0f} mm/s; a point of arm or "
+        f"scanner reaches {1000 * reached:.0f} mm/s (--speed {0.95 * share * covered / reached:.2g} keeps below)"
     )
 
 

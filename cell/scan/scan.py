@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from cell import signals
 from cell.errors import FileError, UsageError
 from cell.runs import folder as run_folder
@@ -93,7 +95,7 @@ def execute_run(
         stack.enter_context(signals.stop_on_signal())
         with driver_errors():  # a refusal of the controller leaves no execution behind
             stack.enter_context(driver)
-            speed = _confirmed_speed(session, driver, options, cell, approved)
+            speed = _confirmed_speed(session, driver, options, cell, approved, verified, plan)
             state = safety.prepare_controller(driver, options, stop_first=False)
             driver, _ = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
             require_drivable(plan, driver, speed)
@@ -161,7 +163,7 @@ def resume_run(
             stack.enter_context(driver)
             approved = _approved(verified, plan, options.view)
             if session.confirm is None and options.confirm_motion is None:  # no user can confirm: do not move the arm
-                _confirmed_speed(session, driver, options, cell, approved)
+                _confirmed_speed(session, driver, options, cell, approved, verified, plan)
             state = safety.prepare_controller(driver, options, stop_first=True)
             driver, state = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
             remaining = plan_resume(plan, scanned_stops, state, verified.checker, motion.limits, seed)
@@ -170,10 +172,12 @@ def resume_run(
                 approved = safety.approve_path(verified, remaining.plan, "the new path and the rest of the plan")
                 degrees = to_deg(from_rad(remaining.approach_path)).tolist()
                 approach = {"path_digest": approved.digest, "path_deg": tuple(map(tuple, degrees))}
-            for sentence in remaining.notes(len(scanned_stops), verified.checker):
+            clearance = remaining.clearance(verified.checker)
+            for sentence in remaining.notes(len(scanned_stops), clearance):
                 session.note(sentence)
             # The confirmation comes after these notes, so that the person has read the path.
-            speed = _confirmed_speed(session, driver, options, cell, approved)
+            proven = np.inf if clearance is None else float(clearance.lower_bound[0])
+            speed = _confirmed_speed(session, driver, options, cell, approved, verified, remaining.plan, proven)
             require_drivable(remaining.plan, driver, speed)
         reopened = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
         reopened.resume(list(session.origin.argv), options.driver, **approach)
@@ -213,11 +217,17 @@ def _approved(verified: VerifiedPlan, plan: ExecutionPlan, view: int | None) -> 
 
 
 def _confirmed_speed(
-    session: Session[None], driver: Driver, options: ScanOptions, cell: RunCell, motion: ApprovedMotion
-) -> float:
+    session: Session[None], driver: Driver, options: ScanOptions, cell: RunCell, motion: ApprovedMotion,
+    verified: VerifiedPlan, plan: ExecutionPlan, approach_clearance: float = np.inf,
+) -> float:  # fmt: skip
     """Return the speed fraction after the confirmation of a real arm's motion."""
     hardware, planned = driver.capabilities.hardware, cell.scene.speed_scaling
     speed = safety.speed_fraction(options.speed, planned, hardware=hardware)
+    if hardware and options.confirm_motion != safety.ANY_MOTION:
+        proven = verified.run.proven_clearance
+        reserve = min(proven, approach_clearance) - cell.path_tolerance(proven)
+        if warning := safety.watch_warning(plan, verified.motion, cell, options, speed, reserve):
+            session.note(warning)
     safety.require_confirmation(driver, speed, motion, confirmation=options.confirm_motion, confirm=session.confirm)
     return speed
 

@@ -106,6 +106,16 @@ class TravelBound:
         ]
         return np.concatenate(pieces) + external if pieces else np.zeros(0)
 
+    def displacement(self, q_from: Floats, q_to: Floats) -> Floats:
+        """Return the largest displacement (N,) of a point of arm, tool or table [m] between (N, axes) angles [rad]."""
+        placed = [
+            np.einsum("npij,pj->npi", rotations[:, self._link_of], self._points) + shifts[:, self._link_of]
+            for rotations, shifts in (self._link_transforms(q[:, :_N]) for q in (q_from, q_to))
+        ]
+        turned = self._table_radius * np.abs(q_to[:, _N:] - q_from[:, _N:]).sum(axis=1)
+        moved: Floats = np.maximum(np.linalg.norm(placed[1] - placed[0], axis=2).max(axis=1), turned)
+        return moved
+
     def reach(self, axes: int) -> Floats:
         """Return the largest distances (axes,) of any point of arm or tool from each axis, over all angles [m].
 

@@ -76,7 +76,8 @@ def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
     url = emulate("modbus", "--run", str(other), "--time-scale", "1000").url
     digest = json.loads((other / "manifest.json").read_text())["digest"]
     word = ("--driver", url, "--accept-time-scale", "1000", "--speed", "1", "--confirm-motion", digest)
-    run_cell("scan", other, "--resolution", "2", *word, cwd=other, code=0)
+    process = run_cell("scan", other, "--resolution", "2", *word, cwd=other, code=0)
+    assert "the path watch stops a deviating arm before contact up to" in process.stderr
 
 
 def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_moves(other: Path) -> None:

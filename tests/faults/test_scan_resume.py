@@ -187,7 +187,8 @@ def test_the_new_path_is_reported_before_the_confirmation(executed_folder: Path,
     with pytest.raises(UsageError, match="nothing was moved"):
         resume(Session(None, reporter, confirm=ask), executed_folder, "latest", options)
     assert "a new path to view 2 was planned" in known[1]
-    assert "Type yes" in known[2]
+    assert "the path watch stops a deviating arm before contact up to" in known[2]
+    assert "Type yes" in known[3]
     assert standing.entries("move") == []
     assert (execution / "manifest.json").read_bytes() == content
 

@@ -1,15 +1,21 @@
 """Conditions of a motion of hardware: confirmation, reduced speed, no latched fault."""
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, UsageError
+from cell.robot.model import load
 from cell.scan import safety
+from cell.scan.execution import ExecutionPlan, Segment
 from cell.scan.options import ScanOptions
 from cell.scan.safety import ApprovedMotion
 from cell.scene.options import flag, parse_options
+from cell.world.travel import TravelBound
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.setpoints import from_rad
 from tests.support.arms import KR16
@@ -167,6 +173,29 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
         safety.require_time_scale(_Controller(), 20.0)
     emulator.capabilities = replace(emulator.capabilities, hardware=False)
     safety.require_time_scale(emulator, None)
+
+
+def test_a_motion_that_is_faster_than_the_path_watch_covers_is_named() -> None:
+    """5 mm are left for a poll and the age of a report; the named speed needs no warning."""
+    travel, home, end = TravelBound(load()), np.radians([0.0, -90, 90, 0, 90, 0]), np.radians([40.0, -90, 90, 0, 90, 0])
+    scene = SimpleNamespace(speed_scaling=0.5)
+    cell: Any = SimpleNamespace(travel=travel, scene=scene)
+    motion: Any = SimpleNamespace(limits=SimpleNamespace(velocity=KR16.velocity / 2))
+    plan = ExecutionPlan(home, (Segment(end[None], 1, 0),), 1.0)
+
+    def warning(speed: float, url: str = "ur://arm") -> str:
+        return safety.watch_warning(plan, motion, cell, ScanOptions(driver=url), speed, 0.005)
+
+    text = warning(0.1)
+    assert "up to 83 mm/s" in text
+    assert "up to 50 mm/s" in warning(0.1, "ur://arm?poll_ms=60")
+    found = re.search(r"reaches (\d+) mm/s \(--speed (\S+) keeps", text)
+    assert found is not None
+    turn = np.radians([0.01, 0, 0, 0, 0, 0])  # of one axis: the bound is the way of the farthest point
+    radius = float(travel(home[None], (home + turn)[None])[0] / turn[0])
+    assert float(found[1]) == pytest.approx(100 * KR16.velocity[0] * radius, rel=0.02)
+    assert warning(0.5 * float(found[2])) == ""
+    assert warning(0.6 * float(found[2])) != ""
 
 
 def test_every_motion_is_released_by_no_option() -> None:
