@@ -203,7 +203,8 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
 def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None) -> Floats:
     """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
 
-    It is the shortest separation of the two alone if no such move is found.
+    The part is also separated from all other objects that it is inside of. The move is the shortest separation alone if
+    no move without a new contact is found.
 
     Args:
         world: the cell of both.
@@ -212,15 +213,26 @@ def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shorte
         gap: distance to the other afterwards [m].
         shortest: (3,) the shortest separation of the two, if known [m].
     """
-    shortest = move = minimum_translation(one, other, gap) if shortest is None else shortest
     solids, around = cell_solids(world), set[str]()
+
+    def separation() -> Floats:
+        around_one = (other, *(solids[name] for name in sorted(around)))
+        pieces = [(each.vertices, each.faces) for each in around_one]
+        return minimum_translation(one, Solid("obstacles", *concatenate_meshes(pieces)[:2], other.axes), gap)
+
+    if one.name == "part":
+        fixtures = (each.name for each in world.scene.fixtures if each.attached_to == "base")
+        beside = ({*_STATIONARY, TABLE, *fixtures} & solids.keys()) - {other.name}
+        around |= {name for name in beside if penetrates(one, solids[name])}
+    if around or shortest is None:
+        shortest = separation()
+    move = shortest
     for _ in range(_DETOURS):
         hit = [name for name in _hit_by_move(world, solids, one.name, move) if name in solids]
         if not hit:
             return move
         around |= set(hit)
-        pieces = [(other.vertices, other.faces), *((solids[name].vertices, solids[name].faces) for name in around)]
-        move = minimum_translation(one, Solid("obstacles", *concatenate_meshes(pieces)[:2], other.axes), gap)
+        move = separation()
     return move if not _hit_by_move(world, solids, one.name, move) else shortest
 
 
@@ -362,13 +374,17 @@ def _stationary_penetrations(world: World, solids: dict[str, Solid]) -> list[str
     problems: list[str] = []
     on_part = {fixture.name for fixture in world.scene.fixtures if fixture.attached_to == "object"}
     around_part = set()  # objects that the part is inside of: its post is too, and moves with it
+    move_of_part = None
     for one, other in pairs:
         if one == "post" and other in around_part:
             continue
         if one in solids and other in solids and penetrates(solids[one], solids[other]):
             around_part |= {other} if one == "part" else set()
             mover, fixed = (other, one) if one == "part" and other in on_part else (one, other)
-            problems.append(_penetration(world, solids[mover], solids[fixed]))
+            if mover == "part" and move_of_part is None:
+                move_of_part = _clear_move(world, solids[mover], solids[fixed])
+            move = move_of_part if mover == "part" else None
+            problems.append(_penetration(world, solids[mover], solids[fixed], move=move))
     return problems
 
 

@@ -1,5 +1,6 @@
 """The compiled cell: names, checked pairs, placement, cell.xml, occluders."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import trimesh
 from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.scene.model import Scene, pose
-from cell.world.checks import require_feasible
+from cell.world.checks import find_problems, require_feasible
 from cell.world.files import write_mjcf
 from cell.world.model import World, compile_world
 from cell.world.occluders import Occluder, arm_occluders, fixed_occluders
@@ -261,6 +262,18 @@ def test_an_impossible_scene_is_refused(tables: dict, words: list[str]) -> None:
     with pytest.raises(SceneError) as caught:
         require_feasible(world)
     assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_part_inside_base_and_pedestal_has_one_correction() -> None:
+    """Both sentences name the same move, and after it the part is inside neither."""
+    place: list[float] = [0, 0, 0]
+    problems = find_problems(compile_world(_scene(placement={"position_mm": place}), PART, baseline_mm=75.0))
+    moves = [re.findall(r"position_mm by .* mm, to \((.*)\)", each) for each in problems if "intersects the" in each]
+    assert len(moves) == 2
+    assert moves[0] == moves[1]
+    place = [float(value) for value in moves[0][0].split(",")]
+    problems = find_problems(compile_world(_scene(placement={"position_mm": place}), PART, baseline_mm=75.0))
+    assert not [each for each in problems if "part intersects" in each]
 
 
 def test_a_link_of_another_shape_than_box_cylinder_and_mesh_is_named() -> None:
