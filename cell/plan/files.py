@@ -195,7 +195,9 @@ def write_cell(folder: RunFolder, settled: SettledScene, planning: TriangleMesh,
         regions=tuple(ResolvedRegion.model_validate(dict(region)) for region in with_rest(scene.region)) or None,
     )
     folder.write_json("scene.resolved.json", resolved.as_json())
-    for name in write_mjcf(world, folder.path):
+    with file_errors(f"the model of the cell cannot be written to {folder.path}"):
+        names = write_mjcf(world, folder.path)
+    for name in names:
         folder.adopt(name)
     for name, mesh in world.fixture_meshes.items():
         folder.write_mesh(fixture_file(name), mesh)

@@ -13,7 +13,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -34,6 +34,9 @@ from planner.geometry.mesh import TriangleMesh
 
 SCHEMA = "scan-cell/run/3"
 """Version of the layout. A change needs a line in CHANGELOG.md."""
+
+_REDRAWN = (".png", ".html", ".xml")
+"""Pictures, pages and models: removed from a full disk if they are incomplete."""
 
 _VERSIONS_OF = (
     "scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "libigl", "networkx",
@@ -142,7 +145,7 @@ class RunFolder:
 
     def write_arrays(self, name: str, **arrays: NDArray[Any]) -> None:
         """Write arrays as a compressed .npz."""
-        with self._writing(name):
+        with self._writing(name, name):
             np.savez_compressed(self.path / name, allow_pickle=False, **arrays)
         self.adopt(name)
 
@@ -184,8 +187,12 @@ class RunFolder:
         try:
             self._close(status, exit_code)
         except FileError:
-            # A full disk may refuse this manifest as well; the earlier one still names the stage.
-            return
+            # A full disk refuses this manifest as well, until there is room; otherwise the earlier one names the stage.
+            with suppress(FileError, OSError):
+                for path in self.path.iterdir():
+                    if path.suffix in _REDRAWN and path.name not in self._artefacts:
+                        path.unlink()
+                self._write_manifest()
 
     def discard(self) -> None:
         """Remove the unfinished folder."""
@@ -199,20 +206,23 @@ class RunFolder:
     def _write_manifest(self) -> None:
         # Through a temporary file, so that a full disk leaves the last good manifest in place.
         temporary = self.path / "manifest.json.tmp"
-        with self._writing("manifest.json"):
+        with self._writing("manifest.json", temporary.name):
             temporary.write_text(json_text(self.manifest.as_json()), encoding="utf-8")
             temporary.replace(self.path / "manifest.json")
 
     def _write(self, name: str, content: bytes) -> None:
-        with self._writing(name):
+        with self._writing(name, name):
             (self.path / name).write_bytes(content)
         self._artefacts[name] = hashlib.sha256(content).hexdigest()
 
     @contextmanager
-    def _writing(self, name: str) -> Iterator[None]:
+    def _writing(self, name: str, incomplete: str = "") -> Iterator[None]:
         try:
             yield
         except OSError as error:
+            if incomplete:  # it would keep the disk full, and the manifest could not state the failure
+                with suppress(OSError):
+                    (self.path / incomplete).unlink()
             raise FileError(
                 f"{self.path / name} cannot be written: {_reason(error)}; finished artefacts remain in {self.path}"
             ) from error

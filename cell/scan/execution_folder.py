@@ -161,7 +161,7 @@ class ExecutionFolder(RunFolder):
         self._on_disk("manifest.json", lambda path: _replace(path, json_text(self.manifest.as_json()).encode()))
 
     def _on_disk(self, name: str, write: Callable[[Path], None]) -> None:
-        with self._writing(name):
+        with self._writing(name, f"{name}.tmp"):
             write(self.path / name)
 
 

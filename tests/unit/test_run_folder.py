@@ -105,6 +105,27 @@ def test_a_full_disk_in_the_last_manifest_does_not_hide_the_first_error(
     assert json.loads((tmp_path / "run.part" / "manifest.json").read_text())["status"] == "running"
 
 
+def test_incomplete_files_leave_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The space of a file that does not fit, and of pictures, is free for the manifest, which states the failure."""
+    folder, write = make(tmp_path / "run"), Path.write_bytes
+    (folder.path / "cell.png").touch()
+
+    def full(path: Path, content: bytes) -> None:
+        write(path, content[:5])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def full_with_picture(path: Path, text: str, encoding: str) -> None:
+        (full if (folder.path / "cell.png").exists() else write)(path, text.encode(encoding))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "write_text", full_with_picture)
+    with pytest.raises(FileError, match="the disk is full"):
+        folder.write_text("report.md", "too much")
+    folder.fail("failed", 6, "the disk is full")
+    assert [path.name for path in folder.path.iterdir()] == ["manifest.json"]
+    assert json.loads((folder.path / "manifest.json").read_text())["status"] == "failed"
+
+
 def test_nan_never_reaches_a_json_file() -> None:
     """NaN is refused with an error, because JSON has no NaN."""
     with pytest.raises(ValueError, match="JSON"):
