@@ -39,7 +39,7 @@ TrialFunction = Callable[[JsonTable], JsonTable]
 
 SCHEMA = "scan-cell/trial/2"
 
-_SOURCES = ("planner", "cell", "drivers")
+_SOURCES, _SUFFIXES = ("planner", "cell", "drivers"), (".py", ".toml", ".xml", ".npz", ".csv")
 _DIED = "its process died twice (out of memory, or a crash in a library)"
 _CLUSTER_TIMEOUT_S = 10.0
 _RETRIES = 2
@@ -104,7 +104,7 @@ OnOutcome = Callable[[int, int, Outcome], None]
 
 @cache
 def sources_digest(package: str) -> str:
-    """Return the sha256 (hex) over the sources and models of the program, and over the sources of a package next to it.
+    """Return the sha256 (hex) over sources, models and tables of the program and of a package next to it.
 
     Args:
         package: a package of the program, or one in the same folder.
@@ -113,7 +113,7 @@ def sources_digest(package: str) -> str:
     digest = hashlib.sha256()
     folders = [root / name for name in dict.fromkeys((*_SOURCES, "models", "cell/models", package))]
     for folder in folders:
-        for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".toml", ".xml", ".npz"}):
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in _SUFFIXES):
             digest.update(str(path.relative_to(folder)).encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

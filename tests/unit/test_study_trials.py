@@ -42,6 +42,15 @@ def test_a_benchmark_trial_depends_on_the_sources_of_the_benchmarks_too() -> Non
     assert trials.sources_digest("planner") == trials.sources_digest("cell") != trials.sources_digest("benchmarks")
 
 
+def test_a_changed_table_of_the_program_changes_the_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables (.csv) are inputs of a trial like sources."""
+    monkeypatch.setattr(trials, "__file__", str(tmp_path / "cell" / "study" / "trials.py"))
+    table = tmp_path / "drivers" / "registers.csv"
+    table.parent.mkdir()
+    digests = [table.write_text(text) and trials.sources_digest.__wrapped__("cell") for text in ("1\n", "2\n")]
+    assert digests[0] != digests[1]
+
+
 def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
     """NaN is refused, because it does not equal itself and its key would not be found again."""
     with pytest.raises(ValueError, match="JSON"):
