@@ -18,7 +18,7 @@ from cell.part import workpiece
 from cell.part.planning_mesh import planning_mesh
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import generate_viewpoints
-from cell.robot.model import KR16
+from cell.plan.files import named_files
 from cell.scene.model import Scene, require_no_region_targets
 from cell.scene.regions import with_regions
 from cell.scene.settle import settle
@@ -194,9 +194,9 @@ def scene_settings(scene: Scene) -> dict[str, object]:
     content = scene.model_dump(mode="json", exclude_defaults=True)
     # The defaults of a fixture depend on its shape; without them the dump would lack the shape itself.
     content["fixtures"] = [fixture.model_dump(mode="json") for fixture in scene.fixtures]
-    arm = None if scene.robot.model == KR16 else scene.robot.model
-    paths = [arm, scene.part.path, *(getattr(fixture, "path", None) for fixture in scene.fixtures)]
-    return {"scene": content, "files": {path: _sha256(path) for path in paths if path is not None}}
+    painted = [region.painted for region in scene.region if region.painted is not None]
+    paths = [*(file.path for file in named_files(scene, None)), *painted]
+    return {"scene": content, "files": {path: _sha256(path) for path in paths}}
 
 
 def scene_from_settings(settings: JsonTable) -> Scene:

@@ -68,6 +68,20 @@ def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
         scene_from_settings(settings)
 
 
+def test_meshes_of_robot_and_regions_are_files_of_a_study(tmp_path: Path) -> None:
+    """A robot's description names its meshes, a region its painted mesh: all are inputs of the trials."""
+    robot, mesh, painted = (tmp_path / name for name in ("arm.urdf", "link.stl", "painted.ply"))
+    painted.touch()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
+    shape = '<collision><geometry><mesh filename="link.stl"/></geometry></collision>'
+    robot.write_text(f'<robot name="arm"><link name="base">{shape}</link></robot>', encoding="utf-8")
+    region = 'name = "seat"\npainted = "painted.ply"\npainted_units = "mm"\ncolour = "#ff0000"'
+    scene = tmp_path / "cell.toml"
+    scene.write_text(f'robot.model = "arm.urdf"\n[[region]]\n{region}', encoding="utf-8")
+    files: Any = scene_settings(load_scene(scene))["files"]
+    assert {str(robot), str(mesh), str(painted)} <= files.keys()
+
+
 def test_the_values_of_a_placement_are_those_of_its_steps(tables: dict[str, Any]) -> None:
     """Reach, occlusion and coverage computed one by one give equal shares."""
     scene = load_scene(None, tables)
