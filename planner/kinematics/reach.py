@@ -144,8 +144,8 @@ def are_reachable(
 ) -> Bools:
     """Return (N,) whether views (N, K, 4, 4) [m] are reachable in all their K poses, by the rules of `solve_reach`.
 
-    A branch is checked only if no branch before it is free, which saves most of the collision checks. The other
-    arguments are those of `solve_reach`.
+    Branches are checked in batches of 1, 1, 2, 4, ..., until one of the pose is free, which saves most of the collision
+    checks. The other arguments are those of `solve_reach`.
     """
     reachable = np.zeros(len(T_object_scanner), dtype=np.bool_)
     for chunk, poses in _flange_poses(T_object_scanner, T_base_object, T_flange_scanner):
@@ -173,9 +173,11 @@ def _any_free(T_base_flange: Floats, kinematics: Kinematics, checker: CollisionC
     q, pose = first_setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
     is_free = np.zeros(len(T_base_flange), dtype=np.bool_)
     number = np.arange(len(pose)) - np.searchsorted(pose, pose)  # among the branches of the pose within the limits
-    for branch in range(int(number.max(initial=-1)) + 1):
-        rows = np.flatnonzero((number == branch) & ~is_free[pose])
+    start, end = 0, 1
+    while start <= number.max(initial=-1):  # most poses are free with an early branch: then few are checked in vain
+        rows = np.flatnonzero((number >= start) & (number < end) & ~is_free[pose])
         is_free[pose[rows[checker.free(q[rows])]]] = True
+        start, end = end, 2 * end
     return is_free
 
 
