@@ -74,10 +74,12 @@ class Link(Protocol):
 
     Attributes:
         deadline: time of the client's clock after which the link does not retry by itself.
+        began: time of the client's clock at which the last move was sent first, after a transfer of its via points.
         notify: receives messages about long waits; the client sets it.
     """
 
     deadline: float = math.inf
+    began: float = -math.inf
     notify: Callable[[str], None] | None = None
 
     @abstractmethod
@@ -218,9 +220,12 @@ class SequenceLedger:
 
     def _answer_to(self, sequence: int, command: Command) -> Answer:
         failure: LinkError
-        for _ in range(2):
+        for is_again in (False, True):
             try:
-                return self._link.send(sequence, command)
+                answer = self._link.send(sequence, command)
+                if not is_again or answer.result != Result.STALE:
+                    return answer
+                failure = ProtocolError(answer.message)  # the first one has arrived meanwhile: the state has its answer
             except LinkLostError as error:
                 failure = error
                 break
@@ -373,11 +378,13 @@ class ControllerClient:
                 if result is not Result.OK:
                     raise RefusedError(detail, result)
             fastest = status.fastest_duration(command, state, self._limits)
-            goal = f"the end of a move to {format_axes(command.set_points[-1])}"
-            monitor = status.MotionMonitor(self._clock, goal, fastest, self.capabilities.time_scale, self._notify)
-            watch = PathWatch(command, state, self._limits, self.capabilities, self._clock.now())
+            goal, able = f"the end of a move to {format_axes(command.set_points[-1])}", self.capabilities
+            began = self._clock.now()
             try:
                 sequence = self._ledger.send(command)
+                began = max(began, self._link.began)
+                monitor = status.MotionMonitor(self._clock, goal, began, fastest, able.time_scale, self._notify)
+                watch = PathWatch(command, state, self._limits, able, began)
             except DriverError:
                 raise
             except BaseException:  # Ctrl-C before the answer: the arm may move

@@ -198,18 +198,25 @@ class MotionMonitor:
     Args:
         clock: the client's.
         goal: description of the awaited event.
+        began: time of the clock at which the move was sent [s].
         fastest: time [s] of the controller's clock for the move at its speed and full override.
         time_scale: seconds of the controller's clock per second of the client's.
         notify: receives a message after `NOTIFY_AFTER` without progress.
     """
 
     def __init__(
-        self, clock: Clock, goal: str, fastest: float, time_scale: float, notify: Callable[[str], None] | None
+        self,
+        clock: Clock,
+        goal: str,
+        began: float,
+        fastest: float,
+        time_scale: float,
+        notify: Callable[[str], None] | None,
     ) -> None:
         self._clock, self._goal, self._fastest, self._notify = clock, goal, fastest, notify
         self._time_scale = time_scale
         self._stall_limit = STALL_LIMIT / min(time_scale, 1.0)
-        self._began = self._updated = clock.now()
+        self._began = self._updated = began
         self._driven = 0.0  # controller's clock, at full override
         # Client's clock: without holds the total time and the time without progress; the latter with holds.
         self._spent = self._stalled = self._quiet = 0.0
@@ -218,7 +225,7 @@ class MotionMonitor:
 
     @property
     def elapsed(self) -> float:
-        """Time since the start [s], controller's clock."""
+        """Time since the move was sent [s], controller's clock."""
         return (self._clock.now() - self._began) * self._time_scale
 
     def update(self, state: RobotState) -> None:

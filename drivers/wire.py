@@ -302,6 +302,7 @@ class ReopeningLink(Link):
         self._capabilities: Capabilities | None = None
         self._is_open = False
         self._is_busy = False
+        self._committed = 0  # number of the last move that was sent
         self.session = 0  # the taken session; 0: this client only reads
 
     @abstractmethod
@@ -358,6 +359,8 @@ class ReopeningLink(Link):
             if answer.result != Result.OK:
                 break
         else:
+            if sequence != self._committed:  # a repeated commit may have been executed before
+                self._committed, self.began = sequence, self._clock.now()
             answer = self._exchange(sequence, commit)
         if answer.result == Result.INCOMPLETE:  # nothing was executed: the client checks the state and sends it again
             raise ProtocolError(Result.INCOMPLETE.message)

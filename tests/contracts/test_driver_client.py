@@ -38,7 +38,7 @@ class ScriptedLink:
         self.on_state: Callable[[], None] = lambda: None
         self.sent: list[tuple[int, Command]] = []
         self.closed = 0
-        self.deadline, self.session = math.inf, 0
+        self.deadline, self.began, self.session = math.inf, -math.inf, 0
 
     def open(self) -> Capabilities:
         return KR16.capabilities("scripted", hardware=False, simulated_time=True)

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.contract import LAST_SEQUENCE, Fault, Mode, Move, Reset, Result, Stop
+from drivers import status
+from drivers.contract import LAST_SEQUENCE, Answer, Fault, Mode, Move, Reset, Result, Stop
 from drivers.errors import (
+    ArrivalError,
     LinkError,
     LinkLostError,
     NotOwnerError,
@@ -20,6 +22,8 @@ from drivers.errors import (
     StoppedError,
 )
 from drivers.limits import Limits
+from drivers.profile import resting
+from drivers.setpoints import to_rad
 from drivers.wire import MAX_POINTS, Timeouts
 from drivers.wires import modbus_protocol as registers
 from drivers.wires.modbus_link import ModbusLink
@@ -375,6 +379,66 @@ def test_missing_stages_are_sent_again(wire: Bench) -> None:
     (move,) = wire.journal.of("move")
     assert move["set_points"] == points.tolist()
     assert move["sequence"] == 1
+
+
+def slow_transfer(wire: Bench) -> None:
+    """Let each message to the controller take 0.08 s."""
+    write = wire.port.write
+
+    def slow_write(*message: Any) -> None:
+        wire.clock.wait(0.08)
+        write(*message)
+
+    wire.port.write = slow_write
+
+
+def test_a_long_transfer_is_no_missing_progress(wire: Bench) -> None:
+    """The transfer of the via points takes longer than an arm may stand still; the move is executed."""
+    slow_transfer(wire)
+    points = np.tile(HOME, (800, 1))
+    points[:, 5] = np.arange(800) * 100
+    began = wire.clock.now()
+    assert wire.driver.move(points, 1.0).axes.tolist() == points[-1].tolist()
+    assert wire.clock.now() - began > status.STALL_LIMIT
+
+
+def test_the_transfer_is_no_time_of_motion(wire: Bench) -> None:
+    """An arm that arrives at once is recognised, although the transfer took longer than the motion would."""
+    slow_transfer(wire)
+    start = wire.endpoint.controller._start
+
+    def jump(sequence: int, move: Move) -> None:
+        start(sequence, move)
+        wire.endpoint.controller._reference = resting(to_rad(move.set_points[-1]))
+        wire.endpoint.controller.plant.follow(wire.endpoint.controller._reference)
+
+    wire.endpoint.controller._start = jump
+    points = np.tile(HOME, (100, 1))
+    points[-1, 5] += 200_000
+    with pytest.raises(ArrivalError, match="needs at least"):
+        wire.driver.move(points, 1.0)
+
+
+def test_a_move_that_arrives_late_is_not_refused(wire: Bench) -> None:
+    """The commit of a staged move arrives after the client has asked for its result: the move runs once, to its end."""
+    wire.link.state()
+    commit, stage, late = wire.endpoint.commit, wire.endpoint.stage, list[Any]()
+
+    def lost_commit(*request: Any) -> Answer:
+        wire.endpoint.commit = commit
+        late.append(request)
+        return Answer(request[1], Result.INCOMPLETE)
+
+    def stage_after(*request: Any) -> Answer:
+        if late:
+            commit(*late.pop())
+        return stage(*request)
+
+    wire.endpoint.commit, wire.endpoint.stage = lost_commit, stage_after
+    points = np.tile(HOME, (60, 1))
+    points[:, 0] = np.arange(60) * 1000
+    assert wire.driver.move(points, 1.0).axes.tolist() == points[-1].tolist()
+    assert len(wire.journal.of("move")) == 1
 
 
 def test_the_controller_refuses_moves_that_bypass_the_client(wire: Bench) -> None:
