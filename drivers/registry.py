@@ -23,6 +23,9 @@ from drivers.simulated_controller import PlantFactory
 
 GROUP = "cell.drivers"
 
+MAX_PORT = 65535
+"""Largest number of a TCP or UDP port."""
+
 _YES, _NO = ("", "1", "true", "yes", "on"), ("0", "false", "no", "off")
 
 _MEMBERS = (
@@ -38,7 +41,7 @@ class DriverUrl:
         text: the URL.
 
     Raises:
-        DriverUrlError: if it has no scheme, a fragment, an invalid port, or an option twice.
+        DriverUrlError: if it has no scheme, a fragment, an invalid host or port, or an option twice.
     """
 
     def __init__(self, text: str) -> None:
@@ -47,6 +50,9 @@ class DriverUrl:
             parts = urlsplit(text)
             self.host, self.port = parts.hostname, parts.port
             pairs = parse_qsl(parts.query, keep_blank_values=True)
+            (self.host or "").encode("idna")  # as a connection does, whose error would be no OSError
+            if self.port == 0:
+                raise ValueError(f"port 0 is none; it must be from 1 to {MAX_PORT}")
         except ValueError as error:
             raise DriverUrlError(f"driver URL '{text}' is invalid: {error}") from error
         if not parts.scheme or "://" not in text:
@@ -95,13 +101,13 @@ class DriverUrl:
             raise self._invalid(name, value, f"a number above {above:g}{upper}")
         return number
 
-    def integer(self, name: str, default: int, *, at_least: int) -> int:
-        """Take an integer."""
+    def integer(self, name: str, default: int, *, at_least: int, at_most: int = 2**31 - 1) -> int:
+        """Take an integer in [at_least, at_most], by default of 32 bits."""
         value = self._take(name)
         if value is None:
             return default
-        if not value.isascii() or not value.isdigit() or len(value) > 18 or int(value) < at_least:
-            raise self._invalid(name, value, f"a whole number of at least {at_least}")
+        if not value.isascii() or not value.isdigit() or len(value) > 18 or not at_least <= int(value) <= at_most:
+            raise self._invalid(name, value, f"a whole number of at least {at_least} and at most {at_most}")
         return int(value)
 
     def numbers(self, name: str, default: tuple[float, ...]) -> tuple[float, ...]:

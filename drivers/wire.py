@@ -234,11 +234,11 @@ class Timeouts:
         """
         shortest, longest = WATCHDOG_RANGE_MS
         answer = url.number("timeout_ms", 1000.0 * cls.answer, above=0.0, at_most=60_000.0)
-        watchdog = url.number("watchdog_ms", 1000.0 * cls.watchdog, above=shortest - 1.0, at_most=longest)
+        watchdog = url.integer("watchdog_ms", DEFAULT_WATCHDOG_MS, at_least=shortest, at_most=longest)
         poll = url.number("poll_ms", 1000.0 * cls.poll, above=0.0, at_most=longest)
         if cls.tries * answer > watchdog or poll > watchdog / 2.0:
             raise DriverUrlError(
-                f"'{url.text}' has timeout_ms={answer:g}, poll_ms={poll:g} and watchdog_ms={watchdog:g}; the watchdog "
+                f"'{url.text}' has timeout_ms={answer:g}, poll_ms={poll:g} and watchdog_ms={watchdog}; the watchdog "
                 f"must be at least {cls.tries} times the timeout and twice the poll, or one lost answer stops the arm"
             )
         return cls(answer / 1000.0, cls.tries, watchdog / 1000.0, poll / 1000.0)

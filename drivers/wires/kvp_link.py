@@ -276,10 +276,13 @@ class KvpLink(ReopeningLink):
 
     def _state_of_program(self) -> dict[str, int]:
         text = self._ask("SC_STATE")
-        values = {name: int(number) for name, number in kvp.components(text).items()}
-        if not {"BOOT", "OWNER", "ACK", "RESULT", "DONE", "ENDING", "RUNNING", "PASSED", "FAULT"} <= set(values):
-            raise ProtocolError(f"SC_STATE of {self._proxy.name} is {text[:60]!r}; put the program there again")
-        return values
+        values = kvp.components(text)
+        try:
+            return {name: int(values[name]) for name in kvp_program.STATE}
+        except (KeyError, OverflowError) as error:
+            raise ProtocolError(
+                f"SC_STATE of {self._proxy.name} is {text[:60]!r}; put the program there again"
+            ) from error
 
     def _read_state(self) -> RobotState:
         own = self._beat()
@@ -333,7 +336,7 @@ class KvpDriver(ControllerClient):
             DriverUrlError: if it names no host, or an option is invalid.
         """
         timeouts = Timeouts.from_url(url)
-        timer = url.integer("timer", kvp_program.TIMER, at_least=1)
+        timer = url.integer("timer", kvp_program.TIMER, at_least=1, at_most=kvp_program.MAX_TIMER)
         url.finish()
         if not url.host or url.path not in ("", "/"):
             raise DriverUrlError(f"'{url.text}' must name a host, and may name a port: kvp://192.168.0.10:{PORT}")

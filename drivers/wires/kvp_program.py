@@ -29,19 +29,22 @@ MAX_VIA: Final = 500
 MOVE, RESET = 1, 2
 TIMER: Final = 10
 """Default number of the watchdog's timer."""
+MAX_TIMER: Final = 32
+"""Largest number of a timer."""
 
-_STATE = ("BOOT", "OWNER", "ACK", "RESULT", "DONE", "ENDING", "RUNNING", "PASSED", "FAULT")
+STATE: Final = ("BOOT", "OWNER", "ACK", "RESULT", "DONE", "ENDING", "RUNNING", "PASSED", "FAULT")
+"""Components of `SC_STATE`."""
 
 
 def files(timer: int = TIMER) -> dict[str, bytes]:
     """Return the files of the program.
 
     Args:
-        timer: number of the watchdog's timer, 1 to 32.
+        timer: number of the watchdog's timer, 1 to `MAX_TIMER`.
     """
     values = {
         "TIMER": timer, "MAX_VIA": MAX_VIA, "RESET": RESET, "LAST": LAST_SEQUENCE, "HALF": LAST_SEQUENCE // 2,
-        "COMPONENTS": ",".join(_STATE), "ZEROS": ",".join(f"{name} 0" for name in _STATE),
+        "COMPONENTS": ",".join(STATE), "ZEROS": ",".join(f"{name} 0" for name in STATE),
         **{f"R_{result.name}": int(result) for result in Result},
         **{f"F_{fault.name}": int(fault) for fault in Fault},
     }  # fmt: skip

@@ -411,7 +411,4 @@ def _driver(kind: type[Client], port: ModbusPort, timeouts: Timeouts, context: C
 
 def _unit(url: DriverUrl, lowest: int, highest: int) -> int:
     """Take the unit: on a line an address; behind TCP also 0 and 255, by which devices without a line are addressed."""
-    unit = url.integer("unit", 1, at_least=lowest)
-    if unit > highest:
-        raise DriverUrlError(f"'{url.text}' has unit={unit}; a device address is {lowest} to {highest}")
-    return unit
+    return url.integer("unit", 1, at_least=lowest, at_most=highest)

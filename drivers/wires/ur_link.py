@@ -29,12 +29,19 @@ import numpy as np
 from drivers.client import ControllerClient, Link
 from drivers.clock import Clock, RealTimeClock
 from drivers.contract import FULL, Answer, Capabilities, Command, Mode, Move, Reset, Result, RobotState, Stop
-from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkError, LinkLostError, ProtocolError
+from drivers.errors import (
+    AnswerTimeoutError,
+    DriverUrlError,
+    LinkError,
+    LinkLostError,
+    ProtocolError,
+    SetPointError,
+)
 from drivers.limits import Limits
 from drivers.profile import interpolate
-from drivers.registry import Context, DriverUrl
+from drivers.registry import MAX_PORT, Context, DriverUrl
 from drivers.setpoints import AXES, PER_DEGREE, SetPoints, from_rad, to_rad
-from drivers.wire import Timeouts, connect_tcp, describe_failure, state_of_program
+from drivers.wire import Heartbeat, Timeouts, connect_tcp, describe_failure, state_of_program
 from drivers.wires import rtde
 from drivers.wires.rtde import Package, Recipe
 
@@ -61,12 +68,17 @@ _ROBOT_MODES = {
     2: "is booting", 3: "has no power", 4: "switches its power on", 5: "has its brakes on", 6: "is in freedrive",
     8: "updates its firmware",
 }  # fmt: skip
+_DRIVING = (1, 2)  # safety modes in which programs run: normal and reduced
+_UNDEFINED = 11
 _SAFETY_MODES = {
     3: "a protective stop is active", 4: "the recovery mode is active", 5: "a safeguard stop is active",
     6: "the emergency stop of the system is pressed", 7: "the emergency stop of the robot is pressed",
-    8: "a safety violation is active", 9: "a safety fault is active", 11: "a safeguard stop is active",
+    8: "a safety violation is active", 9: "a safety fault is active", _UNDEFINED: "the safety mode is undefined",
+    12: "a safeguard stop of the automatic mode is active", 13: "the three-position enabling device is released",
+    14: "the three-position enabling switch of the pendant is released",
+    15: "the emergency stop of the moulding machine is pressed", 20: "the emergency stop by PROFIsafe is pressed",
 }  # fmt: skip
-_EMERGENCY = (6, 7)
+_EMERGENCY = (6, 7, 15, 20)
 
 _FREQUENCY = 50.0  # of data packages [Hz]
 _PROGRAM_START = 1.0  # longest time until a sent program runs, beside the answer time [s]
@@ -99,6 +111,7 @@ class UrLink(Link):
         self._outputs: Recipe | None = None
         self._inputs: Recipe | None = None
         self._session = self._beat = 0
+        self._monitor = Heartbeat(clock, timeouts.watchdog)
         self._register = 0  # last value of the register ACK
         self._local: tuple[int, Answer] | None = None  # answer without a program, and the register then
         self._n_via, self._last = 1, RobotState(Mode.IDLE, np.zeros(AXES, dtype=np.int32), at_rest=True)
@@ -111,6 +124,7 @@ class UrLink(Link):
             ProtocolError: if the answer is not that of a controller of Universal Robots.
         """
         self.close()
+        self._monitor.restart()
         try:
             return self._start()
         except LinkError:
@@ -175,7 +189,21 @@ class UrLink(Link):
             ) from error
 
     def state(self) -> RobotState:
-        """Read the state; open a lost connection again until the watchdog's time is over."""
+        """Read the state; open a lost connection again until the watchdog's time is over.
+
+        Raises:
+            LinkLostError: if the connection is lost, or the controller's clock stands still.
+            AnswerTimeoutError, ProtocolError.
+        """
+        state = self._read_or_reopen()
+        try:
+            self._monitor.update(state.heartbeat or 0)
+        except LinkLostError:
+            self.close()
+            raise
+        return state
+
+    def _read_or_reopen(self) -> RobotState:
         began = self._clock.now()
         while True:
             try:
@@ -279,7 +307,7 @@ class UrLink(Link):
                 raise AnswerTimeoutError(f"{self._name} sends no data")
         try:
             self._last = self._parse(self._outputs.unpack(newest))
-        except (ValueError, OverflowError) as error:
+        except (ValueError, OverflowError, SetPointError) as error:
             raise ProtocolError(f"{self._name} sends impossible data: {error}") from error
         return self._last
 
@@ -292,8 +320,9 @@ class UrLink(Link):
         running, done_sequence, done_result = register[RUNNING], register[DONE], register[DONE_RESULT]
         safety, robot, runtime = values["safety_mode"], values["robot_mode"], values["runtime_state"]
         fault, message = 0, ""
-        if safety in _SAFETY_MODES:
-            fault, message = int(safety), _SAFETY_MODES[safety]
+        if safety not in _DRIVING:  # modes that this driver does not know stop the arm too
+            fault = int(safety) or _UNDEFINED
+            message = _SAFETY_MODES.get(fault, f"the safety mode is {fault}, in which no program runs")
         elif robot != ROBOT_RUNNING:
             fault, message = _ROBOT_FAULT + int(robot), f"the robot {_ROBOT_MODES.get(robot, f'is in mode {robot}')}"
         if running and running != done_sequence and runtime == STOPPED:  # somebody or a fault ended the program
@@ -397,8 +426,8 @@ class UrDriver(ControllerClient):
             DriverUrlError: if it names no host, the arm has external axes, or an option is invalid.
         """
         timeouts = Timeouts.from_url(url)
-        rtde_port = url.integer("rtde_port", RTDE_PORT, at_least=1)
-        script_port = url.integer("script_port", SCRIPT_PORT, at_least=1)
+        rtde_port = url.integer("rtde_port", RTDE_PORT, at_least=1, at_most=MAX_PORT)
+        script_port = url.integer("script_port", SCRIPT_PORT, at_least=1, at_most=MAX_PORT)
         url.finish()
         if not url.host or url.port is not None or url.path not in ("", "/"):
             raise DriverUrlError(f"'{url.text}' must name a host without port or path: ur://192.168.0.20")

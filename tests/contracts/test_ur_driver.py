@@ -21,6 +21,7 @@ from drivers.errors import (
     LinkLostError,
     NotOwnerError,
     PathError,
+    ProtocolError,
     RefusedError,
     StateUnknownError,
     StoppedError,
@@ -130,6 +131,47 @@ def test_a_safety_stop_ends_the_move_and_needs_a_reset(
         driver.stop()
         driver.reset()
         assert driver.move(HOME[None], 1.0).axes.tolist() == HOME.tolist()
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected", "message"),
+    [
+        (2, Mode.IDLE, ""),
+        (11, Mode.FAULT, "undefined"),
+        (13, Mode.FAULT, "three-position enabling device"),
+        (15, Mode.EMERGENCY_STOP, "emergency stop of the moulding machine"),
+        (20, Mode.EMERGENCY_STOP, "PROFIsafe"),
+        (22, Mode.FAULT, "safety mode is 22"),
+    ],
+)
+def test_every_safety_mode_without_motion_is_a_fault(bench: Bench, mode: int, expected: Mode, message: str) -> None:
+    """Only the modes normal and reduced run programs; modes that the driver does not know are faults too."""
+    bench.controller.safety_mode = mode
+    with open_driver(bench.url, Context(KR16)) as driver:
+        state = driver.state()
+        assert state.mode is expected
+        assert message in state.fault_message
+        assert bool(message) == bool(state.fault_message)
+
+
+def test_angles_that_are_no_numbers_are_a_failure_of_the_wire(bench: Bench) -> None:
+    """The client treats them as unreadable, as every answer that does not follow the protocol."""
+    with open_driver(f"{bench.server.url}&timeout_ms=50&watchdog_ms=150", Context(KR16)) as driver:
+        values = bench.controller.values
+        bench.controller.values = lambda: values() | {"actual_q": (float("nan"),) * 6}  # type: ignore[method-assign]
+        with pytest.raises(ProtocolError, match="sends impossible data"):
+            driver.state()
+
+
+def test_a_clock_that_stands_still_is_a_lost_line(bench: Bench) -> None:
+    """Data of a controller whose time does not pass are no state of the arm; the wait for another one has an end."""
+    with open_driver(f"{bench.server.url}&timeout_ms=50&watchdog_ms=150", Context(KR16)) as driver:
+        values = bench.controller.values
+        bench.controller.values = lambda: values() | {"timestamp": 1.0}  # type: ignore[method-assign]
+        while driver.state().heartbeat != 1000:
+            pass
+        with pytest.raises(LinkLostError, match="heartbeat has not changed"):
+            driver.require_ready()
 
 
 def test_a_program_that_somebody_ends_is_a_stopped_move(bench: Bench) -> None:

@@ -121,6 +121,26 @@ def test_an_invalid_url_is_refused(url: str, words: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("ur://127.0.0.1?rtde_port=70000", "rtde_port=70000; it must be a whole number .* at most 65535"),
+        ("ur://127.0.0.1?script_port=70000", "at most 65535"),
+        ("kvp://127.0.0.1?timer=33", "at most 32"),
+        ("serial:///dev/x?baud=99999999999", "at most 2147483647"),
+        ("modbus://127.0.0.1?unit=256", "at most 255"),
+        ("ur://127.0.0.1?watchdog_ms=99.2", "at least 100 and at most 5000"),
+        ("ur://a..b", "is invalid"),
+        ("kvp://a..b", "is invalid"),
+        ("modbus://127.0.0.1:0", "port 0"),
+    ],
+)
+def test_numbers_and_names_that_no_connection_takes_are_refused(url: str, words: str) -> None:
+    """They are refused with the URL, not by the library or the system that would open the connection."""
+    with pytest.raises(DriverUrlError, match=words):
+        open_driver(url, Context(KR16))
+
+
 def test_options_reach_the_controller() -> None:
     """The URL sets the start position and real time. The limits are those of the arm."""
     with sim("sim://?start=1,-80,70,5,50,9.1234") as driver:
