@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.contract import Capabilities, Move, Result
 from drivers.errors import DriverError
-from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, axis_name, frozen
+from drivers.setpoints import AXES, MAX_COUNT, PER_DEGREE, Floats, SetPoints, axis_name, frozen
 
 ENDLESS_RANGE = 36_000 * PER_DEGREE
 """Range of an axis without limits to either side of 0, counts: a hundred turns."""
@@ -99,10 +99,15 @@ class Limits:
 
     @classmethod
     def from_rad(cls, arm: JointLimits) -> "Limits":
-        """Convert the limits of an arm, positions rounded inwards to counts; a step may be the whole range."""
+        """Convert the limits of an arm; a step may be the whole range.
+
+        Positions are rounded inwards to counts. A joint without an end may have limits that do not fit 32 bits: they
+        are reduced to these.
+        """
         low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (arm.lower, arm.upper))
-        low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
-        return cls(low, high, arm.velocity, arm.acceleration, np.maximum(high - low, 1), jerk=arm.jerk)
+        low, high = np.maximum(np.ceil(low - _ROUNDING), -MAX_COUNT), np.minimum(np.floor(high + _ROUNDING), MAX_COUNT)
+        step = np.clip(high - low, 1, MAX_COUNT)
+        return cls(low, high, arm.velocity, arm.acceleration, step, jerk=arm.jerk)
 
     def with_endless_axis(self) -> "Limits":
         """Return these limits with an endless last axis; its largest step stays the same."""

@@ -21,7 +21,8 @@ PER_DEGREE = 10_000
 AXES = 6
 """Smallest number of axes of an arm; external axes follow A6."""
 
-_MAX_COUNT = np.iinfo(np.int32).max
+MAX_COUNT = np.iinfo(np.int32).max
+"""Largest number of counts of a set-point, in both directions."""
 
 
 def axis_name(axis: int) -> str:
@@ -49,11 +50,11 @@ def from_rad(q: ArrayLike) -> SetPoints:
             f"joint angles have shape {angles.shape}; they must be (..., n), n >= {AXES}, in radians from A1 on"
         )
     counts = np.rint(np.degrees(angles.astype(np.float64)) * PER_DEGREE)
-    if not (np.abs(counts) <= _MAX_COUNT).all():
-        axis = int(np.argwhere(~(np.abs(counts) <= _MAX_COUNT))[0][-1])
+    if not (np.abs(counts) <= MAX_COUNT).all():
+        axis = int(np.argwhere(~(np.abs(counts) <= MAX_COUNT))[0][-1])
         raise SetPointError(
             f"a joint angle of {axis_name(axis)} is not finite or does not fit 32 bits; it must lie within "
-            f"+-{_MAX_COUNT / PER_DEGREE:.4f} deg"
+            f"+-{MAX_COUNT / PER_DEGREE:.4f} deg"
         )
     return frozen(counts, np.int32)
 

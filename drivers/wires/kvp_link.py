@@ -19,7 +19,7 @@ from drivers.contract import FULL, Answer, Capabilities, Command, Fault, Result,
 from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, ProtocolError
 from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl
-from drivers.setpoints import PER_DEGREE, SetPoints, axis_name, frozen
+from drivers.setpoints import MAX_COUNT, PER_DEGREE, SetPoints, axis_name, frozen
 from drivers.wire import (
     Commit,
     Give,
@@ -292,6 +292,8 @@ class KvpLink(ReopeningLink):
             override = int(self._ask("$OV_PRO")) * FULL // 100
             heartbeat = int(self._ask("$ROB_TIMER")) % 65536
             counts = np.rint(np.array([axes[name] for name in self._axes]) * PER_DEGREE)
+            if np.abs(counts).max() > MAX_COUNT:
+                raise ValueError(f"axes of {axes}")
         except (ValueError, KeyError) as error:
             raise ProtocolError(f"{self._proxy.name} reports impossible values: {error}") from error
         is_stopped, has_move = stopped == "TRUE", own["RUNNING"] != 0

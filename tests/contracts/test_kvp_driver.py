@@ -1,6 +1,7 @@
 """`kvp://` on an emulated KUKA controller that runs the generated KRL program: moves, stops, faults, owners, cuts."""
 
 import contextlib
+import re
 import socket
 import threading
 import time
@@ -22,6 +23,7 @@ from drivers.errors import (
     EmergencyStopError,
     LinkLostError,
     NotOwnerError,
+    ProtocolError,
     RefusedError,
     StateUnknownError,
     StoppedError,
@@ -342,6 +344,24 @@ def test_urls_and_missing_controllers() -> None:
         unused.bind(("127.0.0.1", 0))
         with pytest.raises(LinkLostError, match="cannot be opened: connection refused; check address"):
             driver_of(f"kvp://127.0.0.1:{unused.getsockname()[1]}").connect()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [("$AXIS_ACT", "A1 1E9", "reports impossible values"), ("SC_STATE", "PASSED 1E400", "put the program there again")],
+)
+def test_numbers_that_no_field_holds_are_a_failure_of_the_wire(bench: Bench, name: str, text: str, words: str) -> None:
+    """The client treats them as unreadable; nothing is converted to another number."""
+    with driver_of(f"kvp://{bench.line.name}?timeout_ms=50&watchdog_ms=150") as driver:
+        read = bench.controller.read
+
+        def falsified(variable: str) -> str | None:
+            value = read(variable)
+            return value and re.sub(rf"{text.split()[0]} [^,}}]+", text, value) if variable == name else value
+
+        bench.controller.read = falsified  # type: ignore[method-assign]
+        with pytest.raises(ProtocolError, match=words):
+            driver.state()
 
 
 def test_messages_are_those_of_the_public_format() -> None:

@@ -76,6 +76,18 @@ def test_limits_between_counts_are_rounded_inwards() -> None:
     assert limits.max_step.tolist() == [200_000] * 6
 
 
+@pytest.mark.parametrize("range_rad", [2000.0, 1e16])
+def test_limits_of_a_joint_without_an_end_fit_a_set_point(range_rad: float) -> None:
+    """A range beyond 32 bits, as of an endless joint in a URDF, becomes the largest one; so does its largest step."""
+    ends = np.append(KR16.velocity[:5], range_rad)
+    limits = Limits.from_rad(JointLimits(-ends, ends, KR16.velocity, KR16.acceleration))
+    most = np.iinfo(np.int32).max
+    assert limits.upper[5] == min(most, round(np.degrees(range_rad) * 1e4))
+    assert limits.lower[5] == -limits.upper[5]
+    assert limits.max_step[5] == most
+    assert limits.max_step[0] == limits.upper[0] - limits.lower[0]
+
+
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
