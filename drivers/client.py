@@ -272,7 +272,7 @@ class ControllerClient:
         if notify is not None:
             link.notify = notify
         self.on_state: Callable[[RobotState], None] | None = None
-        self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
+        self._lock = threading.RLock()  # around each exchange, not while the arm moves: a stop gets through
         self._ledger = SequenceLedger(link, secrets.randbelow(65535) + 1, self._read)
         self._capabilities: Capabilities | None = None
         self._heartbeat: int | None = None  # the controller's last one

@@ -35,7 +35,7 @@ from drivers.errors import DriverError
 from drivers.setpoints import AXES, Floats, SetPoints, frozen, require_set_points, to_rad
 
 FULL: Final = 10_000
-"""100 % of an override or a path parameter, which are integers in units of 1e-4."""
+"""100 % of a speed on a wire, an override or a path parameter, which are integers in units of 1e-4."""
 
 LAST_SEQUENCE: Final = 65535
 
@@ -332,9 +332,9 @@ class Driver(AbstractContextManager["Driver"], Protocol):
         """Return the state if the arm is at rest without a fault and the controller is alive and consistent.
 
         Raises:
-            FaultError, EmergencyStopError: if one is latched or pressed.
+            RefusedError: if a fault is latched or was not reset, the arm moves, or it was in position and is not now.
             ContradictionError: if fields of the status contradict each other.
-            StateUnknownError: if the arm moves, or the controller is not as this client left it.
+            StateUnknownError: if the controller is not as this client left it.
             NotConnectedError, LinkError.
         """
 

@@ -59,9 +59,6 @@ from drivers.registry import DriverUrl
 from drivers.setpoints import AXES, SetPoints, frozen
 from drivers.status import NOTIFY_AFTER
 
-FULL_SPEED = 10_000
-"""Speed fraction 1 on the wire: speed fractions are integers in units of 1e-4."""
-
 REAL_TIME = 1000
 """Time scale 1 on the wire: time scales are integers in units of 1e-3."""
 
@@ -151,12 +148,12 @@ def points_crc(points: SetPoints) -> int:
 
 def speed_to_wire(speed: float) -> int:
     """Return a speed fraction in 1e-4, never rounded up; 0, which every controller refuses, if it is outside (0, 1]."""
-    return int(speed * FULL_SPEED + 1e-6) if 0.0 < speed <= 1.0 else 0
+    return int(speed * FULL + 1e-6) if 0.0 < speed <= 1.0 else 0
 
 
 def speed_from_wire(speed: int) -> float:
     """Return the speed fraction of a value in 1e-4."""
-    return speed / FULL_SPEED
+    return speed / FULL
 
 
 class StagingBuffer:

@@ -31,14 +31,10 @@ class Rest:
     at_rest: bool
 
 
-class _Timers(dict[int, float]):
-    """Timers [ms]."""
-
-
 class _TimerFlags:
-    """Flags of timers: True above 0."""
+    """Flags of timers [ms]: True above 0."""
 
-    def __init__(self, timers: _Timers) -> None:
+    def __init__(self, timers: dict[int, float]) -> None:
         self._timers = timers
 
     def __getitem__(self, number: int) -> bool:
@@ -67,7 +63,7 @@ class KukaController:
         self._reference: Reference = resting(q)
         self._elapsed, self._speed = 0.0, 1.0
         self._axes = [axis_name(axis) for axis in range(len(q))]
-        timers = _Timers(dict.fromkeys(range(1, 33), 0.0))
+        timers = dict.fromkeys(range(1, kvp_program.MAX_TIMER + 1), 0.0)
         low, high = (
             {number: float(each) for number, each in enumerate(limit / PER_DEGREE, start=1)}
             for limit in (limits.lower, limits.upper)

@@ -26,11 +26,10 @@ from typing import Final
 import numpy as np
 
 from drivers import wire
-from drivers.contract import Answer, Capabilities, Flag, Mode, Reset, RobotState, Stop
+from drivers.contract import FULL, Answer, Capabilities, Flag, Mode, Reset, RobotState, Stop
 from drivers.errors import ProtocolError
 from drivers.setpoints import AXES, SetPoints
 from drivers.wire import (
-    FULL_SPEED,
     MAX_AXES,
     REAL_TIME,
     STATUS_FIELDS,
@@ -275,7 +274,7 @@ def parse_hello(frame: Frame) -> Capabilities | None:
                 "docs/internals/protocol.md; bring both to one version"
             )
         axes, scale = _integer(words, AXES, MAX_AXES), _integer(words, 0, 2**32 - 1)
-        speed, max_via = _integer(words, 0, FULL_SPEED), _integer(words, 0)
+        speed, max_via = _integer(words, 0, FULL), _integer(words, 0)
         lower, upper, step = (_axes(words, axes) for _ in range(3))
         return Capabilities(
             controller=_text(words),

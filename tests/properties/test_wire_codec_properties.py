@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.contract import Answer, Mode, Move, Reset, RobotState, Stop
+from drivers.contract import FULL, Answer, Mode, Move, Reset, RobotState, Stop
 from drivers.emulated import stations
 from drivers.errors import ProtocolError
 from drivers.wire import (
-    FULL_SPEED,
     Give,
     Stage,
     StagingBuffer,
@@ -205,14 +204,14 @@ def test_the_crc_of_points_is_zlibs_over_big_endian_counts() -> None:
 def test_a_speed_is_never_rounded_up(speed: float) -> None:
     """A value outside (0, 1] becomes 0, which is refused."""
     wire = speed_to_wire(speed)
-    assert 0 <= wire <= FULL_SPEED
+    assert 0 <= wire <= FULL
     assert speed_from_wire(wire) <= max(speed, 0.0) + 1e-10 or not speed > 0
     assert wire == 0 or speed - speed_from_wire(wire) < 1e-4
 
 
 def test_every_speed_on_the_wire_is_exact() -> None:
     """All multiples of 1e-4 are unchanged on the wire."""
-    assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(FULL_SPEED + 1))
+    assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(FULL + 1))
 
 
 blocks = st.sampled_from([block.for_axes(axes) for axes in (6, 9) for block in registers.BLOCKS])
