@@ -184,18 +184,7 @@ class Stream:
 
     def _answer_newest(self) -> None:
         """Answer the newest telegram; older ones that wait are late already."""
-        newest: tuple[rsi.Telegram, Any] | None = None
-        while True:
-            try:
-                data, sender = self._port.recvfrom(65535)
-            except (BlockingIOError, ConnectionError):
-                break
-            if self._sender not in (None, sender):
-                continue
-            with contextlib.suppress(ValueError):
-                received = rsi.parse_telegram(data)
-                if newest is None or received.ipoc > newest[0].ipoc:
-                    newest = received, sender
+        newest = self._receive_newest()
         if newest is None:
             return
         telegram, sender = newest
@@ -216,37 +205,55 @@ class Stream:
             return  # an old telegram that was delayed
         self._cycle_ms = min(self._cycle_ms, passed) if passed > 0 else self._cycle_ms
         missed = max(passed // self._cycle_ms - 1, 0)
-        if missed > 0:
-            self._late += missed
-            if missed >= rsi.TIMEOUT_CYCLES:
-                self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
         counted = telegram.late - self._counted
-        is_uncounted = abs(counted - missed) > _LAG
-        if (
-            passed < 0
-            or counted < 0
-            or (is_uncounted and not self._arm.explains(np.radians(telegram.applied_deg), axes))
-        ):
+        self._late += missed
+        if missed >= rsi.TIMEOUT_CYCLES:
+            self._fail(f"the controller was not answered for {passed / 1000:.1f} s and has ended RSI")
+        is_explained = abs(counted - missed) <= _LAG or self._arm.explains(np.radians(telegram.applied_deg), axes)
+        if passed < 0 or counted < 0 or not is_explained:
             self._fail("the controller has started RSI again")
+        self._last, self._arm.actual = telegram.ipoc, axes
         if self._arm.failure:  # corrections of an ended session would be wrong in a new one
-            self._last, self._arm.actual = telegram.ipoc, axes
             return
-        is_accepted = counted <= missed  # the answer to the last telegram
-        if missed > 0 or not is_accepted:
-            self._rate = 0.0
-        self._counted = telegram.late
-        self._last, self._heard, self._arm.actual = telegram.ipoc, time.monotonic(), axes
-        if is_accepted:
-            cycle = self._cycle_ms / 1000.0
-            self._rate = min(self._rate + cycle / RAMP, 1.0)
-            self._arm.accepted = self._arm.sent
-            self._arm.sent += self._rate * cycle
-            self._clock.time = max(self._clock.time, self._arm.sent)
-        else:
-            self._arm.sent = self._arm.accepted
+        self._counted, self._heard = telegram.late, time.monotonic()
+        self._pass_cycle(self._arm, is_accepted=counted <= missed, has_missed=missed > 0)
         self._controller.time_to_wait()  # lets the time pass
         has_ended = not self._has_client and self._is_at_rest()
         self._send(telegram.ipoc, np.degrees(self._arm.correction), end=has_ended)
+
+    def _receive_newest(self) -> tuple[rsi.Telegram, Any] | None:
+        """Return the newest waiting telegram of the controller and its sender; None if none waits."""
+        newest: tuple[rsi.Telegram, Any] | None = None
+        while True:
+            try:
+                data, sender = self._port.recvfrom(65535)
+            except (BlockingIOError, ConnectionError):
+                return newest
+            if self._sender not in (None, sender):
+                continue
+            with contextlib.suppress(ValueError):
+                received = rsi.parse_telegram(data)
+                if newest is None or received.ipoc > newest[0].ipoc:
+                    newest = received, sender
+
+    def _pass_cycle(self, arm: CorrectedArm, *, is_accepted: bool, has_missed: bool) -> None:
+        """Advance the time of the path by a cycle if the last answer was accepted; else repeat its correction.
+
+        Args:
+            arm: the arm.
+            is_accepted: whether the controller accepted the last answer.
+            has_missed: whether telegrams were left out since then, so that the arm stood still.
+        """
+        if has_missed or not is_accepted:
+            self._rate = 0.0
+        if is_accepted:
+            cycle = self._cycle_ms / 1000.0
+            self._rate = min(self._rate + cycle / RAMP, 1.0)
+            arm.accepted = arm.sent
+            arm.sent += self._rate * cycle
+            self._clock.time = max(self._clock.time, arm.sent)
+        else:
+            arm.sent = arm.accepted
 
     def _send(self, ipoc: int, corrections_deg: Floats, *, end: bool) -> None:
         self._ending -= int(end)
