@@ -55,7 +55,7 @@ def chain_of(model: mujoco.MjModel) -> Chain:
 
 
 def wrist_positions(model: mujoco.MjModel, T_base: Floats, step: float) -> tuple[Floats, Floats]:
-    """Return sampled wrist positions at A1 = 0: signed distances from the A1 axis, heights above the base [m].
+    """Return sampled wrist positions: distances from the A1 axis, negative behind it, and heights above the base [m].
 
     The wrist is the intersection of axes 5 and 6. Axes 2 and 3 pass through their ranges, and axis 4 if it moves the
     wrist.
@@ -80,8 +80,10 @@ def wrist_positions(model: mujoco.MjModel, T_base: Floats, step: float) -> tuple
         positions = (rotations @ relative[..., None])[..., 0] + chain.points[axis]
     up = chain.directions[0] if chain.directions[0] @ T_base[:3, 2] > 0 else -chain.directions[0]
     ahead = np.cross(chain.directions[1], up)
+    ahead /= np.linalg.norm(ahead)
     relative = positions - chain.points[0]
-    return relative @ ahead / np.linalg.norm(ahead), (positions - T_base[:3, 3]) @ T_base[:3, 2]
+    forward, aside = relative @ ahead, relative @ np.cross(up, ahead)  # aside: of an arm beside its A1 axis
+    return np.copysign(np.hypot(forward, aside), forward), (positions - T_base[:3, 3]) @ T_base[:3, 2]
 
 
 def wrist_in_flange(model: mujoco.MjModel) -> Floats:

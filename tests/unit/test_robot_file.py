@@ -1,5 +1,6 @@
 """An arm from a URDF or MJCF: reading, conversion, self-collision, error messages."""
 
+import itertools
 import json
 import os
 from pathlib import Path
@@ -14,7 +15,7 @@ import trimesh
 from cell.errors import CellError
 from cell.robot import model as robot
 from cell.robot import robot_file
-from cell.robot.arm import kinematics_of
+from cell.robot.arm import kinematics_of, wrist_positions
 from cell.robot.model import mesh_of
 from cell.robot.normalise import normalise
 from cell.robot.robot_file import capture_mujoco_warnings
@@ -101,6 +102,22 @@ def by_mujoco(text: str, q: np.ndarray, body: str) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = data.body(body).xmat.reshape(3, 3), data.body(body).xpos
     return T
+
+
+@pytest.mark.parametrize("beside", [0.0, 0.15])
+def test_wrist_positions_are_those_of_mujoco(beside: float, tmp_path: Path) -> None:
+    """Distances from the A1 axis and heights at all angles of A2 and A3, also of an arm beside its A1 axis."""
+    text = urdf().replace('xyz="0.1 0 0.2"', f'xyz="0.1 {beside} 0.2"')
+    model = robot_spec.load_robot(written(tmp_path, text)).compile()
+    distance, height = wrist_positions(model, np.eye(4), 0.39)
+    data, expected = mujoco.MjData(model), []
+    for a2, a3 in itertools.product(np.linspace(-2.8, 2.8, 15), repeat=2):
+        data.qpos[:] = 0.3, a2, a3, 0.0, 0.0, 0.0
+        mujoco.mj_kinematics(model, data)
+        x, y, z = data.joint("A5").xanchor
+        expected.append((np.hypot(x, y), z))
+    found = np.stack([np.abs(distance), height], axis=1)
+    np.testing.assert_allclose(sorted(found.round(9).tolist()), sorted(np.round(expected, 9).tolist()), atol=2e-9)
 
 
 def test_flange_and_levers_have_mujocos_poses(tmp_path: Path) -> None:
