@@ -16,7 +16,7 @@ nothing is reachable or 5 % of its coverage is lost.
 
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
-from cell.errors import UnreachableError
+from cell.errors import UnreachableError, UsageError
 from cell.scene.model import Scene
 from cell.study.options import PlaceRange
 from cell.study.placement_study import (
@@ -47,7 +47,7 @@ from cell.study.planned_placement import (
 )
 from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, StudyResult, write_folder
-from cell.study.trials import JsonTable, OnOutcome, Trial, Workers, run_trials, start_trials
+from cell.study.trials import JsonTable, OnOutcome, Outcome, Trial, Workers, run_trials, start_trials
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
 from planner.ports import no_progress
@@ -97,6 +97,7 @@ class PlaceSearchResult:
         unreached_mm: distance at which nothing is reachable [mm]; likewise.
         places: number of placements of each round.
         n_places: number of distinct placements.
+        outcomes: of the distinct trials.
     """
 
     ten: Sequence[Row]
@@ -105,6 +106,7 @@ class PlaceSearchResult:
     unreached_mm: float
     places: Mapping[str, int]
     n_places: int
+    outcomes: Sequence[Outcome] = field(compare=False)
 
 
 def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progress = no_progress) -> PlaceSearchResult:
@@ -117,7 +119,8 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
         progress: is called for each trial.
 
     Raises:
-        UnreachableError: if nothing is reachable in the range.
+        UnreachableError: if nothing is reachable in the range, or no placement has a plan.
+        UsageError: if trials failed, and at the other places nothing is reachable.
     """
     return _PlaceSearch(scene, where, workers, progress).run()
 
@@ -132,6 +135,7 @@ class _PlaceSearch:
         self._rotation = scene.placement.abc_deg[1:]
         self._fixed = {**scene_settings(scene), "solver": "auto"}
         self._n_trials: dict[str, int] = {}
+        self._outcomes: dict[Trial, Outcome] = {}
         self._evaluated: set[Place] = set()
         self._fine: dict[Place, PlaceCoverage] = {}
 
@@ -142,6 +146,11 @@ class _PlaceSearch:
         starts = self._starts()
         coarse = self._measure("coarse", starts, COARSE_CANDIDATES)
         if not any(each.coverable for each in coarse):
+            if failures := [outcome.failure for outcome in self._outcomes.values() if outcome.failure]:
+                raise UsageError(
+                    f"{len(failures)} of {len(self._outcomes)} trials failed ({failures[0]}), and in the others "
+                    "nothing of the part is reachable"
+                )
             raise UnreachableError(
                 "nothing of the part is reachable in this range; move or widen it (--x, --y, --z, --yaw)"
             )
@@ -163,8 +172,9 @@ class _PlaceSearch:
         )
         shares = [each.coverable for each in coarse]
         return PlaceSearchResult(
-            ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, self._n_trials, len(self._evaluated)
-        )
+            ten, list(zip(starts, shares, strict=True)), lost_mm, unreached_mm, self._n_trials, len(self._evaluated),
+            list(self._outcomes.values()),
+        )  # fmt: skip
 
     def _starts(self) -> list[Place]:
         """Return the placements of the first round: a Sobol sequence over the range."""
@@ -218,14 +228,20 @@ class _PlaceSearch:
         ]
         self._n_trials[name] = self._n_trials.get(name, 0) + len(trials)
         self._evaluated.update(places)
-        return [outcome.values for outcome in run_trials(trials, self._workers, on_outcome=self._report(name))]
+        return [outcome.values for outcome in self._run(name, trials)]
+
+    def _run(self, name: str, trials: Sequence[Trial]) -> list[Outcome]:
+        """Return the outcome of each trial of a round, and keep the first one of each."""
+        outcomes = run_trials(trials, self._workers, on_outcome=self._report(name))
+        for outcome in outcomes:
+            self._outcomes.setdefault(outcome.trial, outcome)
+        return outcomes
 
     def _plan(self, places: Sequence[Place]) -> dict[Place, PlannedPlacement]:
         """Return the plan of each placement that has one."""
         trials = finalist_trials(self._scene, places)
         self._n_trials["plans"] = len(trials)
-        outcomes = run_trials(list(trials.values()), self._workers, on_outcome=self._report("plans"))
-        values = {outcome.trial: outcome.values for outcome in outcomes}
+        values = {outcome.trial: outcome.values for outcome in self._run("plans", list(trials.values()))}
         plans = {place: planned_of(values.get(trial)) for place, trial in trials.items()}
         return {place: each for place, each in plans.items() if each is not None}
 
@@ -270,9 +286,9 @@ def place_study(
     """
     outcome = search(scene, where, workers, progress=progress)
     commands = [f"{shlex.join(map(str, plan))} {place_option(row)}" for row in outcome.ten]
-    result = StudyResult(
-        folder, outcome.ten, sentences(outcome), [], sum(outcome.places.values()), list(outcome.ten[0]), commands, 0
-    )
+    failed = [each for each in outcome.outcomes if each.failure]
+    computed = sum(not each.cached for each in outcome.outcomes)
+    result = StudyResult(folder, outcome.ten, sentences(outcome), failed, computed, list(outcome.ten[0]), commands, 0)
     seconds = [{"round": name, "places": count} for name, count in outcome.places.items()]
     write_folder("place", "Best placements of the part", result, pictures(outcome), seconds)
     return result

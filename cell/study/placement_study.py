@@ -6,6 +6,7 @@ The best by the estimates (`cell.study.placement_trial`) and the placement of th
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -15,7 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from cell.scene.model import Scene
+from cell.robot.arm import wrist_positions
+from cell.scene.model import Robot, Scene
 from cell.study.placement_trial import WITH_VIEWS, evaluate_placement
 from cell.study.planned_placement import (
     N_PLANNED,
@@ -31,12 +33,11 @@ from cell.study.study import Row, Study
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import VERMILION
 from cell.view.study_page import colour_limits
+from cell.world.robot_spec import robot_spec
 
 AXES = ("x mm", "y mm", "z mm", "yaw deg")
 _TILT = ("B deg", "C deg")
-
-REACH_MM = 1611.0
-"""Reach of the wrist centre from the A2 axis (KUKA's data sheet); radius of the circle about the base on the maps."""
+_ENVELOPE_STEP = np.radians(1.0)  # of the axes, for the reach of the wrist
 
 _MAPS = (
     ("reachable %", "candidates reached [%]", "viridis"),
@@ -107,8 +108,9 @@ def placement_study(
 
     name = scene.part.name if scene.part.path is None else "the part"
     return Study(
-        "placement", f"Placements of {name}: {len(grid)}", [*of_default, *grid.values()], rows, pictures, sentences,
-        options=place_option, best=best_row, finalists=finalists,
+        "placement", f"Placements of {name}: {len(grid)}", [*of_default, *grid.values()], rows,
+        lambda rows: pictures(rows, reach_circle(scene.robot)), sentences, options=place_option, best=best_row,
+        finalists=finalists,
     )  # fmt: skip
 
 
@@ -168,17 +170,39 @@ def sentences(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
-    """Draw four maps for each height and yaw."""
+@dataclass(frozen=True, slots=True)
+class ReachCircle:
+    """Reach of a robot from above.
+
+    Attributes:
+        centre_mm: (x, y) of the A1 axis, base frame.
+        radius_mm: largest distance of the wrist from this axis.
+    """
+
+    centre_mm: tuple[float, float]
+    radius_mm: float
+
+
+def reach_circle(robot: Robot) -> ReachCircle:
+    """Return the reach of the robot of a scene."""
+    distances, _ = wrist_positions(robot_spec(robot).compile(), robot.T_base, _ENVELOPE_STEP)
+    x, y = (1000 * robot.T_base[:2, 3]).tolist()
+    return ReachCircle((x, y), 1000 * float(np.abs(distances).max()))
+
+
+def pictures(rows: Sequence[Row], reach: ReachCircle) -> Iterator[tuple[str, Figure]]:
+    """Draw four maps for each height and yaw, with the reach of the robot."""
     gridded = [row for row in rows if row["reachable %"] is not None]
     for z, yaw in dict.fromkeys((row["z mm"], row["yaw deg"]) for row in gridded):
         yield (
             f"map_z{z:g}_yaw{yaw:g}",
-            _picture([row for row in gridded if (row["z mm"], row["yaw deg"]) == (z, yaw)], z, yaw, best_row(rows)),
+            _picture(
+                [row for row in gridded if (row["z mm"], row["yaw deg"]) == (z, yaw)], z, yaw, best_row(rows), reach
+            ),
         )
 
 
-def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Figure:
+def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None, reach: ReachCircle) -> Figure:
     x, y = (np.array(sorted({row[axis] for row in rows})) for axis in ("x mm", "y mm"))
     figure = Figure(figsize=(12.0, 10.0), dpi=100, layout="constrained")
     style: dict[str, Any]
@@ -198,7 +222,7 @@ def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Fig
         image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), shading="nearest", **style)
         figure.colorbar(image, ax=axes, shrink=0.9, ticks=ticks)
         axes.set_facecolor("#dddddd")  # no value: nothing reached, or no move
-        axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color=VERMILION))
+        axes.add_patch(Circle(reach.centre_mm, reach.radius_mm, fill=False, linestyle="--", color=VERMILION))
         if best is not None and (best["z mm"], best["yaw deg"]) == (z, yaw):
             axes.plot(best["x mm"], best["y mm"], marker="*", color="white", markeredgecolor="black", markersize=15)
         axes.set_title(title, fontsize=10)
@@ -208,7 +232,5 @@ def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row | None) -> Fig
         axes.autoscale_view()
         axes.set_xlim(x[0] - 60, x[-1] + 60)
         axes.set_ylim(y[0] - 60, y[-1] + 60)
-    figure.suptitle(
-        f"z = {z:g} mm, yaw = {yaw:g} deg; star: best of all; dashed: reach of the wrist from the base axis"
-    )
+    figure.suptitle(f"z = {z:g} mm, yaw = {yaw:g} deg; star: best of all; dashed: reach of the wrist from the A1 axis")
     return figure

@@ -6,16 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 
-from cell.errors import UnreachableError
+from cell.errors import UnreachableError, UsageError
 from cell.scene.file import load_scene
 from cell.study.options import PlaceRange
-from cell.study.place_search import LAST_STEPS, _basins, _best_of_all_basins, search
-from cell.study.placement_study import placement_study
+from cell.study.place_search import LAST_STEPS, _basins, _best_of_all_basins, place_study, search
+from cell.study.placement_study import pictures, placement_study, reach_circle
 from cell.study.placement_trial import COVERAGE_ONLY
 from cell.study.planned_placement import PlannedPlacement, best_place, place_of
 from cell.study.prepared_part import Bench
 from cell.study.trials import Outcome, Trial, Workers
+from planner.ports import no_progress
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]
@@ -139,6 +141,52 @@ def test_the_rounds_find_the_higher_of_two_maxima() -> None:
     again = AnalyticWorkers()
     assert search(scene, _RANGE, again) == found
     assert again.functions == []
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_failed_trials_are_reported_and_no_unreachable_places() -> None:
+    """Trials that all fail are the cause, with the first failure; single ones are among the outcomes."""
+    scene = load_scene(None, {"part": {"name": "mug"}})
+
+    class Failing(AnalyticWorkers):
+        """Workers that fail at some placements."""
+
+        def __init__(self, low: float) -> None:
+            super().__init__()
+            self.low = low
+
+        def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
+            for outcome in super().compute(trials):
+                fails = json.loads(outcome.trial.settings)["position_mm"][0] > self.low
+                yield Outcome(outcome.trial, {}, "the part is broken", {}) if fails else outcome
+
+    with pytest.raises(UsageError, match=r"(\d+) of \1 trials failed \(the part is broken\)"):
+        search(scene, _RANGE, Failing(0.0))
+    found = search(scene, _RANGE, Failing(1590.0))
+    assert {each.failure for each in found.outcomes} == {"", "the part is broken"}
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_a_repeated_search_computes_nothing(tmp_path: Path) -> None:
+    """The result counts the trials that were computed now, not those of the cache."""
+    scene = load_scene(None, {"part": {"name": "mug"}})
+    results, workers = [], AnalyticWorkers()
+    for folder in ("first", "second"):
+        results.append(place_study(scene, _RANGE, workers, tmp_path / folder, no_progress, ["cell", "plan"]))
+    assert [result.computed for result in results] == [len(workers.functions), 0]
+    assert results[0].rows == results[1].rows
+
+
+def test_the_circle_of_a_map_is_the_reach_of_the_robot_about_its_base() -> None:
+    """The KR 16 reaches 1611 mm from its A1 axis (KUKA's data sheet), wherever its base is."""
+    scene = load_scene(None, {"robot": {"base": {"position_mm": [100.0, -200.0, 300.0]}}})
+    circle = reach_circle(scene.robot)
+    assert circle.centre_mm == pytest.approx((100.0, -200.0))
+    assert circle.radius_mm == pytest.approx(1611.0, abs=0.5)
+    row = {"x mm": 1000.0, "y mm": 0.0, "z mm": 0.0, "yaw deg": 0.0, "reachable %": 1.0, "coverable %": 1.0}
+    ((_, figure),) = pictures([row | {"views": 3, "cycle s": 9.0, "best": True}], circle)
+    (drawn,) = (patch for patch in figure.axes[0].patches if isinstance(patch, Circle))
+    assert (drawn.center, drawn.radius) == (circle.centre_mm, circle.radius_mm)
 
 
 @pytest.mark.usefixtures("own_cache")
