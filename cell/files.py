@@ -52,12 +52,16 @@ def cache_folder(kind: str) -> Path:
 
 def delete_oldest(folder: Path, limit: int) -> None:
     """Delete the oldest `.npz` files of a folder until it has at most `limit` bytes; the newest file stays."""
-    entries = sorted(((entry.stat(), entry) for entry in folder.glob("*.npz")), key=lambda pair: pair[0].st_mtime)
+    entries = []
+    for path in folder.glob("*.npz"):
+        with contextlib.suppress(FileNotFoundError):  # another run may have deleted it
+            entries.append((path.stat(), path))
+    entries.sort(key=lambda entry: entry[0].st_mtime)
     size = sum(stat.st_size for stat, _ in entries)
-    for stat, entry in entries[:-1]:
+    for stat, path in entries[:-1]:
         if size <= limit:
             return
-        entry.unlink(missing_ok=True)  # another run may have deleted it
+        path.unlink(missing_ok=True)
         size -= stat.st_size
 
 

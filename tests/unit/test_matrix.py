@@ -104,3 +104,6 @@ def test_the_cache_deletes_its_oldest_files(tmp_path: Path) -> None:
     assert {path.stem for path in tmp_path.iterdir()} == {"new", "middle"}
     files.delete_oldest(tmp_path, 10)
     assert {path.stem for path in tmp_path.iterdir()} == {"new"}
+    (tmp_path / "deleted.npz").symlink_to(tmp_path / "nothing")  # as a file that another run deletes after the listing
+    files.delete_oldest(tmp_path, 10)
+    assert (tmp_path / "new.npz").is_file()
