@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -219,13 +219,15 @@ def why(
 
 def _command_of(setting: str, run: "Run") -> tuple[str, ...] | None:
     """Return the command that makes a change of `cell why`; None if no option does."""
+    from cell.why.advise import without_options
+
     words = shlex.split(setting)
     if words[:1] == ["cell"]:
         return tuple(str(run.folder) if word == "RUN" else word for word in words)
-    planned = [word for word in _without(run.manifest.argv, "--out") if word != "--json"]
-    if not setting.startswith("--") or planned[:1] != ["plan"]:
+    if not setting.startswith("--") or run.manifest.argv[:1] != ("plan",):
         return None
-    return "cell", *_without(planned, words[0]), *words
+    planned = [word for word in run.manifest.argv if word != "--json"]
+    return "cell", *without_options(planned, "--out", words[0]), *words
 
 
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
@@ -243,15 +245,6 @@ def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
     terminal.print_table(("", "change", "coverage, at least (found by search)"), rows, title)
     for number, advice in enumerate(advice_list, 1):
         terminal.print(f"{number}: {advice.command}")
-
-
-def _without(argv: Sequence[str], option: str) -> list[str]:
-    """Remove an option and its value from the words of a command."""
-    words = [word for word in argv if not word.startswith(f"{option}=")]
-    while option in words:
-        at = words.index(option)
-        del words[at : at + 2]
-    return words
 
 
 @command(

@@ -6,7 +6,7 @@ whole surface, because the plan would change.
 """
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,17 +130,17 @@ def setup_command(run: Run, T_base_centre: Floats) -> str:
 
 def replan_command(run: Run, T_base_centre: Floats) -> str:
     """Return the command of the run with another placement; only the option if `cell edit` or Python made it."""
-    place = format_placement(T_base_centre)
-    words = list(run.manifest.argv)
-    if words[:1] not in (["plan"], ["setups"]):
+    place, words = format_placement(T_base_centre), run.manifest.argv
+    if words[:1] not in (("plan",), ("setups",)):
         return f"--place {place}"
-    return shlex.join(["cell", *_without(words, "--place", "--out"), "--place", place])
+    return shlex.join(["cell", *without_options(words, "--place", "--place-origin", "--out"), "--place", place])
 
 
-def _without(words: list[str], *options: str) -> list[str]:
-    """Remove options with their values from a command line."""
+def without_options(words: Sequence[str], *options: str) -> list[str]:
+    """Return the words of a command without some options and their values, in both forms: `--out=X` and `--out X`."""
+    kept = [word for word in words if word.partition("=")[0] not in options or word in options]
     for option in options:
-        while option in words:
-            at = words.index(option)
-            words = words[:at] + words[at + 2 :]
-    return words
+        while option in kept:
+            at = kept.index(option)
+            del kept[at : at + 2]
+    return kept

@@ -34,6 +34,7 @@ _ROLLS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 _STANDOFFS = (0.9, 1.1, 0.8, 1.2, 0.7, 1.3, 0.6, 1.4, 0.5, 1.5)  # of the present one, inside the range
 _TILTS_DEG = (0.0, 20.0, 40.0, 60.0)  # of new views from the normal, below the grazing limit
 _AZIMUTHS = 8
+_FEW = 4  # rolls or standoffs that an option can list
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +60,9 @@ class Changes:
 
         `aims` are (n, 3) points [m] and (n, 3) normals at which new candidates are aimed.
         """
-        yield from self._of_the_plan(aims)
+        yield self._rolls()
+        yield self._standoffs()
+        yield self._aimed(*aims)
         yield [self._turned(*turn) for turn in rotated_worlds(self.world)]
         for fixture in self.cell.scene.fixtures:
             if not fixture.built_in or fixture.name == "post":
@@ -79,50 +82,54 @@ class Changes:
             changes.append(self._seen_from(ChangeKind.VIEW, count, sentence, setting, T[np.array(selection[:count])]))
         return changes
 
-    def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
+    def _rolls(self) -> list[PlanChange]:
+        """Return the changes to another roll: in addition to a few rolls, else of all candidates."""
         view = self.candidates
         rolls_deg = np.unique((np.degrees(view.roll) % 360).round(6))
-        few = len(rolls_deg) <= 4
+        few = len(rolls_deg) <= _FEW
         is_first_roll = np.isclose(np.degrees(view.roll) % 360, rolls_deg[0])
         base = view.pick(np.flatnonzero(is_first_roll)) if few else view
         apart = {roll: min(abs((roll - have + 180) % 360 - 180) for have in rolls_deg) for roll in _ROLLS_DEG}
-        standoff_list = ",".join(f"{roll:g}" for roll in rolls_deg)
-        yield [
+        present = ",".join(f"{roll:g}" for roll in rolls_deg)
+        return [
             self._reached(
                 ChangeKind.ROLL,
                 apart[roll],
                 f"a roll of {roll:g} deg",
-                f"--roll {standoff_list},{roll:g}" if few else "",
+                f"--roll {present},{roll:g}" if few else "",
                 what_if.with_roll(base, np.radians(roll)),
             )
             for roll in sorted(_ROLLS_DEG, key=lambda roll: (apart[roll], roll))
             if apart[roll] > 1
         ]
 
-        standoffs = np.unique((view.standoff * 1000).round(6))
-        few = len(standoffs) <= 4
-        now = float(standoffs[0]) if few else float(np.median(view.standoff)) * 1000
+    def _standoffs(self) -> list[PlanChange]:
+        """Return the changes to another standoff within the range: in addition to a few, else of all candidates."""
+        view, standoffs, now = self.candidates, self._standoffs_mm, self._standoff_mm
+        few = len(standoffs) <= _FEW
         base = view.pick(np.flatnonzero(np.isclose(view.standoff * 1000, now))) if few else view
-        standoff_list = ",".join(f"{standoff:g}" for standoff in standoffs)
+        present = ",".join(f"{standoff:g}" for standoff in standoffs)
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
-        yield [
+        return [
             self._reached(
                 ChangeKind.STANDOFF,
                 abs(factor - 1),
                 f"standoff {other:g} mm in addition to {now:g}" if few else f"standoff {other:g} mm for all candidates",
-                f"--standoff {standoff_list},{other:g}" if few else f"--standoff {other:g}",
+                f"--standoff {present},{other:g}" if few else f"--standoff {other:g}",
                 what_if.with_standoff(base, other / 1000),
             )
             for factor in _STANDOFFS
             if near < (other := round_mm(factor * now)) < far and other not in standoffs
         ]
 
-        limit = self.cell.scanner_keys.number("grazing_max_deg")
+    def _aimed(self, points: Floats, normals: Floats) -> list[PlanChange]:
+        """Return the changes to new candidates aimed at points (n, 3) [m] with normals (n, 3), by their tilt."""
+        limit, T = self.cell.scanner_keys.number("grazing_max_deg"), self.candidates.T_object_scanner
         limit = 90.0 if limit is None else limit
-        sweep = np.linalg.inv(what_if.middle_poses(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
+        sweep = np.linalg.inv(what_if.middle_poses(T[:1])) @ T[0]
         setting = "" if self.cell.scene.plan.candidates == GROWN else f"--candidates {GROWN}"
-        rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
-        yield [
+        rolls, standoff = np.radians((0.0, 90.0, 180.0, 270.0)).tolist(), self._standoff_mm / 1000
+        return [
             self._reached(
                 ChangeKind.AIMED,
                 tilt,
@@ -130,11 +137,22 @@ class Changes:
                 if tilt == 0
                 else f"new candidates aimed {tilt:g} deg from the normal",
                 setting,
-                what_if.tilted_viewpoints(*aims, np.radians(tilt), _AZIMUTHS, now / 1000, rolls, sweep),
+                what_if.tilted_viewpoints(points, normals, np.radians(tilt), _AZIMUTHS, standoff, rolls, sweep),
             )
             for tilt in _TILTS_DEG
-            if tilt <= limit - 2 and len(aims[0])
+            if tilt <= limit - 2 and len(points)
         ]
+
+    @property
+    def _standoffs_mm(self) -> Floats:
+        """Different standoffs of the candidates, ascending [mm]."""
+        return np.unique((self.candidates.standoff * 1000).round(6))
+
+    @property
+    def _standoff_mm(self) -> float:
+        """Smallest of a few standoffs, else their median [mm]."""
+        standoffs = self._standoffs_mm
+        return float(standoffs[0]) if len(standoffs) <= _FEW else float(np.median(self.candidates.standoff)) * 1000
 
     def _turned(self, how: str, change: float, T_base_centre: Floats, there: World) -> PlanChange:
         """Return the change to a second set-up with the part rotated about its centre."""
@@ -314,7 +332,7 @@ def _relative_change(value: float, now: float) -> float:
 
 
 def round_mm(length: float) -> float:
-    """A length that a person would name: two digits, or whole tens above 100 mm."""
+    """Round a length [mm] to two digits, or to whole tens from 100 mm on."""
     return float(round(length, -1)) if length >= 100 else float(f"{length:.2g}")
 
 

@@ -141,6 +141,9 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
     first = f"--first {run.folder} --proposals 1 --place 1200,500,0,0,0,0"
     assert advise.setup_command(run, T) == f"cell setups {first}"
     assert advise.replan_command(run, T) == "cell plan mug --faces 60 --place 1200,500,0,0,0,0"
+    with_equals = Manifest(argv=("plan", "mug", "--place-origin=1,2,3", "--out=run", "--faces=60"))
+    again = advise.replan_command(Run(tmp_path / "run", with_equals), T)
+    assert again == "cell plan mug --faces=60 --place 1200,500,0,0,0,0"
     several = Run(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--max-setups", "2")))
     assert advise.replan_command(several, T) == "cell setups mug --max-setups 2 --place 1200,500,0,0,0,0"
 
