@@ -36,7 +36,9 @@ from cell.scene.model import Scene
 from cell.session import ProgressReporter
 from cell.view import loopback
 from planner.errors import PlannerError
+from planner.values import Floats
 
+_EVENTS = "executions/*/events.jsonl"  # in a run folder
 _POLL_S = 0.05  # between two readings of the events of an execution
 _EPHEMERAL = ("drag", "jog")  # messages of which only the latest counts
 _MAX_MESSAGE = 1 << 16
@@ -119,9 +121,9 @@ class LiveServer:
         return scene.model_copy(update={"placement": placement})
 
     @property
-    def centre(self) -> Any:
+    def centre(self) -> Floats:
         """Pose (4, 4) of the part's centre [m]."""
-        return states.centre_of(self.scene)
+        return self.scene.placement.T
 
     async def run(self, on_ready: Callable[[Address], None]) -> None:
         """Serve until the task is cancelled; `on_ready` receives the address."""
@@ -231,7 +233,7 @@ class LiveServer:
             new_reach = self.cell.evaluate(pose.T, exact=False)
         else:
             cell = LiveCell(states.moved(self.scene, pose), self.cell)
-            new_reach = cell.evaluate(states.centre_of(cell.settled.scene), exact=False)
+            new_reach = cell.evaluate(cell.settled.scene.placement.T, exact=False)
         self._send({"reach": reach_json(new_reach)})
 
     def _set(self, content: Any) -> None:
@@ -246,9 +248,7 @@ class LiveServer:
         self._stop_job()
         known = self.cell.scene.model_copy(update={"placement": scene.placement, "plan": scene.plan})
         cell = self.cell if known == scene else LiveCell(scene, self.cell)
-        new_reach = cell.evaluate(states.centre_of(scene.model_copy(
-            update={"placement": scene.placement.by_centre(cell.settled.part.T_object_centre)}
-        )))  # fmt: skip
+        new_reach = cell.evaluate(scene.placement.by_centre(cell.settled.part.T_object_centre).T)
         self.history.push(scene)
         self.cell, self.reach = cell, new_reach
         self._changed(is_drawn=is_drawn)
@@ -323,9 +323,10 @@ class LiveServer:
             self._send({"error": "there is no plan to execute; plan first"})
             return
         self._send({"command": f"cell scan {shlex.quote(str(run))} --realtime"})
+        before = set(run.glob(_EVENTS))
         self._start({"command": "scan", "source": str(run)}, self._scanned)
         assert self._loop is not None
-        self._loop.call_soon_threadsafe(self._follow, run)
+        self._loop.call_soon_threadsafe(self._follow, run, before)
 
     def _cancel(self, _: Any) -> None:
         self._stop_job()
@@ -359,17 +360,17 @@ class LiveServer:
     def _scanned(self, _: Path) -> None:
         self._send({"follow": {"event": "done"}})
 
-    def _follow(self, run: Path) -> None:
+    def _follow(self, run: Path, before: set[Path]) -> None:
         if self._following is not None:
             self._following.cancel()
-        self._following = asyncio.create_task(self._send_events(run, self.job))
+        self._following = asyncio.create_task(self._send_events(run, self.job, before))
 
-    async def _send_events(self, run: Path, job: Job | None) -> None:
-        """Send the events of the new execution of a run until its job ends."""
-        before, sent, is_running = set(run.glob("executions/*/events.jsonl")), 0, True
+    async def _send_events(self, run: Path, job: Job | None, before: set[Path]) -> None:
+        """Send the events of the new execution of a run until its job ends; `before` are the files of earlier ones."""
+        sent, is_running = 0, True
         while is_running:
             is_running = job is not None and job.is_running  # events that precede the end are read after it
-            for path in set(run.glob("executions/*/events.jsonl")) - before:
+            for path in set(run.glob(_EVENTS)) - before:
                 with path.open("rb") as file:
                     file.seek(sent)
                     complete, _, _ = file.read().rpartition(b"\n")  # the last line may be incomplete

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, Field
 
 from cell.errors import UsageError
@@ -189,11 +188,6 @@ def with_box(scene: Scene, box: Box) -> tuple[Scene, str]:
 def pinned(scene: Scene, candidates: Sequence[int]) -> Scene:
     """Return a scene whose plan must use these candidates."""
     return _with(scene, plan=_with(scene.plan, pinned=tuple(candidates)))
-
-
-def centre_of(scene: Scene) -> Floats:
-    """Return the pose (4, 4) of the part's centre of a settled scene [m]."""
-    return np.asarray(scene.placement.T)
 
 
 def _with(model: Model, **update: object) -> Model:
