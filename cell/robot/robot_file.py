@@ -356,14 +356,7 @@ def _prepare_urdf(
             inertial.clear()
             ElementTree.SubElement(inertial, "mass", value="1")
             ElementTree.SubElement(inertial, "inertia", ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
-    for element in root.iter():
-        for key in _VECTORS.get(element.tag, ()):
-            numbers = [_to_number(word, key, element, path) for word in element.get(key, "").split()]
-            if key == "rpy" and max(map(abs, numbers), default=0) > _MAX_ANGLE:
-                raise SceneError(
-                    f"{path}: rpy of <{element.tag}> is '{element.get(key)}', more than a turn; angles are in radians, "
-                    "these seem to be in degrees"
-                )
+    _require_vectors(root, path)
     _require_tree(root, path)
     for mesh in root.iter("mesh"):
         file = _mesh_file(mesh.get("filename", ""), path, packages)
@@ -373,21 +366,43 @@ def _prepare_urdf(
             mesh.set("filename", name)
         else:
             mesh.set("filename", str(file))
-    settings = root.find("mujoco")
-    if settings is None:
-        settings = ElementTree.SubElement(root, "mujoco")
-    compiler = settings.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(settings, "compiler")
+    compiler = _child(_child(root, "mujoco"), "compiler")
     options = {"fusestatic": "false", "discardvisual": "true", "strippath": "false", "balanceinertia": "true"}
-    options |= {"boundmass": str(MIN_MASS), "boundinertia": str(MIN_INERTIA)}
-    compiler.attrib.update(options)
-    extras, names = UrdfExtras(), set[str]()
+    compiler.attrib.update(options | {"boundmass": str(MIN_MASS), "boundinertia": str(MIN_INERTIA)})
+    return _read_joints(root, path)
+
+
+def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """Return the first child with a tag, added if there is none."""
+    child = element.find(tag)
+    return ElementTree.SubElement(element, tag) if child is None else child
+
+
+def _require_vectors(root: ElementTree.Element, path: Path) -> None:
+    """Refuse vectors that are no numbers, and angles in degrees.
+
+    Raises:
+        SceneError: with the element.
+    """
+    for element in root.iter():
+        for key in _VECTORS.get(element.tag, ()):
+            numbers = [_to_number(word, key, element, path) for word in element.get(key, "").split()]
+            if key == "rpy" and max(map(abs, numbers), default=0) > _MAX_ANGLE:
+                raise SceneError(
+                    f"{path}: rpy of <{element.tag}> is '{element.get(key)}', more than a turn; angles are in radians, "
+                    "these seem to be in degrees"
+                )
+
+
+def _read_joints(root: ElementTree.Element, path: Path) -> UrdfExtras:
+    """Return speeds, mimic joints and soft limits of a URDF; reduce the limits to the soft ones, in place.
+
+    Raises:
+        SceneError: if a revolute joint has no range, or a number is none.
+    """
+    extras = UrdfExtras()
     for joint in root.findall("joint"):
         name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
-        if name in names:
-            raise SceneError(f"{path}: the name '{name}' is given to two joints; rename one")
-        names.add(name)
         if limit is not None and (speed := _number(limit, "velocity", 0.0, path)) > 0.0:
             extras.velocity[name] = speed
         if mimic is not None:
