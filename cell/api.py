@@ -296,7 +296,7 @@ def export(
     progress: "Progress | ProgressReporter | None" = None,
     **keywords: Unpack[ExportKeywords],
 ) -> "ExportOutcome":
-    """Write the motion of a plan, or of every set-up, as a KUKA program or a table (docs/export.md).
+    """Write the motion of a plan, or of every set-up, as a robot program or a table (docs/export.md).
 
     Keywords are options of `cell export`. Returns the written `files`, and facts of the program.
     """

@@ -1,7 +1,7 @@
 """The command line: its commands by subject, and how a command ends.
 
     planning      plan, setups, edit, why, diff
-    inspection    check, part, robot, sensors, view, replay, points, export
+    inspection    check, init, part, robot, sensors, view, live, replay, points, export
     features      features, inspect
     execution     scan, explore, locate, calibrate hand-eye, controller, emulate
     study         place, study ...

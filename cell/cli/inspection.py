@@ -1,4 +1,4 @@
-"""Commands that show things: `cell check`, `part`, `robot`, `sensors`, `view`, `replay`, `points`, `export`."""
+"""Commands `cell check`, `init`, `part`, `robot`, `sensors`, `view`, `live`, `replay`, `points` and `export`."""
 
 import sys
 import tempfile
