@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _NOT_DETERMINED = 2  # exit code
 _MOVED_PLAN = "The plan there"  # panel of options
+_OF_THE_PART = ("units", "place", "place_origin", "max_views")  # options of an exploration that its model does not have
 
 calibrate_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="rich", help="Measure the cell itself for the scene file."
@@ -163,6 +164,7 @@ def explore(
     """
     from cell import api
     from cell.cli.terminal import Terminal
+    from cell.study.study import plan_command
 
     terminal = Terminal(quiet_stdout=as_json)
     checked = scene_from_options(scene, scene_options, part, flag)
@@ -173,7 +175,9 @@ def explore(
     following = []
     if exploration.place_mm is not None:
         place = ",".join(f"{value:g}" for value in exploration.place_mm)
-        following = [("cell", "plan", exploration.folder / exploration.file.model, "--units", "mm", "--place", place)]
+        in_cell = {name: value for name, value in scene_options.items() if name not in _OF_THE_PART}
+        planned = {**in_cell, "units": "mm", "place": place}
+        following = [plan_command(exploration.folder / exploration.file.model, scene, planned)]
     rows = [*exploration.file.rows(), ("folder", str(exploration.folder))]
     terminal.print_result(exploration.file.as_json(), f"Exploration of {exploration.file.part}", rows, *following)
 

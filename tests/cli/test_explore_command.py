@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,20 @@ def explored(made_once: Callable[..., Path], part_file: Path, run_cell: RunComma
         (folder / "stdout").write_text(process.stdout)
 
     return made_once("explored", make) / "explored"
+
+
+def test_the_next_command_plans_the_model_in_the_cell_of_the_exploration(
+    run_cell: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scene file and options of the cell are kept: in another cell the arm would move through fixtures."""
+    (tmp_path / "in.toml").write_text("[post]\nenabled = false\n")
+    file = SimpleNamespace(rows=list, as_json=dict, part="mug", model="model.ply")
+    found = SimpleNamespace(file=file, folder=Path("explored"), place_mm=(1.5, 2.0, 3.0))
+    monkeypatch.setattr("cell.api.explore", lambda *_, **__: found)
+    options = ("--place", "1200,500,0", "--max-views", "9", "--sensor", "generic-area-medium", "--curve")
+    process = run_cell("explore", "mug", "--scene", "in.toml", *options, cwd=tmp_path, code=0)
+    command = "--scene in.toml --sensor=generic-area-medium --curve --units=mm --place=1.5,2,3"
+    assert f"next:\n  cell plan explored/model.ply {command}\n" in process.stdout
 
 
 def test_the_file_describes_the_executed_stages(explored: Path) -> None:
