@@ -138,10 +138,21 @@ def describe(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
 
 
 def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
-    """Return the scanner's part of the key of a matrix: `describe`, and the version of a third-party distribution."""
+    """Return the scanner's part of the key of a matrix: `describe` and `origin`."""
+    return describe(name, scanner) | origin(name)
+
+
+def origin(name: str) -> "dict[str, JsonValue]":
+    """Return distribution with version and class of a third-party scanner, for the keys of caches.
+
+    Empty for a built-in one: its law is that of the program, whose version or format number is in the keys.
+
+    Raises:
+        SceneError: if no or several installed distributions offer the name.
+    """
     point = _entry_point(name)
-    is_built_in = point.dist is not None and point.dist.name == "scan-cell"  # the cache has a format number for these
-    return describe(name, scanner) | ({} if is_built_in else {"distribution": _distribution(point), "law": point.value})
+    is_built_in = point.dist is not None and point.dist.name == "scan-cell"
+    return {} if is_built_in else {"distribution": _distribution(point), "law": point.value}
 
 
 def with_own_parameters(values: Values, scanner: ScannerPlugin) -> Values:

@@ -190,25 +190,33 @@ def solve_reach(world: World, candidates: Viewpoints) -> Reach:
 
 
 def scene_settings(scene: Scene) -> dict[str, object]:
-    """Return a scene as settings of a trial: its differences from the defaults, and the sha256 of the named files."""
+    """Return a scene as settings of a trial.
+
+    These are its differences from the defaults, the sha256 of the named files, and the origin of a third-party scanner.
+    """
     content = scene.model_dump(mode="json", exclude_defaults=True)
     # The defaults of a fixture depend on its shape; without them the dump would lack the shape itself.
     content["fixtures"] = [fixture.model_dump(mode="json") for fixture in scene.fixtures]
     painted = [region.painted for region in scene.region if region.painted is not None]
     paths = [*(file.path for file in named_files(scene, None)), *painted]
-    return {"scene": content, "files": {path: _sha256(path) for path in paths}}
+    scanner = scanners.origin(scene.scanner.type)
+    of_plug_in = {"scanner": scanner} if scanner else {}
+    return {"scene": content, "files": {path: _sha256(path) for path in paths}, **of_plug_in}
 
 
 def scene_from_settings(settings: JsonTable) -> Scene:
     """Return the scene of a trial's settings.
 
     Raises:
-        FileError: if a named file has changed.
+        FileError: if a named file has changed, or a third-party scanner has another version here.
     """
     for path, sha256 in settings["files"].items():
         if _sha256(path) != sha256:
             raise FileError(f"{path} has changed since the study was started; start the study again")
-    return Scene.model_validate(settings["scene"])
+    scene = Scene.model_validate(settings["scene"])
+    if (here := scanners.origin(scene.scanner.type)) != (requested := settings.get("scanner", {})):
+        raise FileError(f"the scanner is {requested} and here {here}; install the same version")
+    return scene
 
 
 def shared_bench(settings: JsonTable) -> Bench:

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 import cell.scanners
-from cell.errors import SceneError
+from cell.errors import FileError, SceneError
+from cell.scene.file import load_scene
+from cell.study.prepared_part import scene_from_settings, scene_settings
+from cell.study.scanner_study import select_views
+from cell.study.trials import Trial
 from tests.support.fixture_types import RunCommand
 
 PACKAGE = Path(__file__).parents[1] / "third_party_scanner"
@@ -74,9 +78,9 @@ def test_its_unknown_key_is_refused_with_a_hint(run_cell: RunCommand, tmp_path: 
 def test_equal_parameters_of_other_types_and_versions_are_other_scanners(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Identities of plug-ins differ by type, distribution and version, so that the cache separates their matrices."""
+    """Identities of plug-ins differ by type, distribution and version: caches separate their matrices and trials."""
     code = (PACKAGE / "cone_scanner.py").read_text()
-    seen = []
+    seen, trials = [], []
     for number, (distribution, version, name) in enumerate(
         [("acme", "1.0", "one"), ("acme", "1.1", "one"), ("acme", "1.0", "two"), ("other", "1.0", "one")]
     ):
@@ -89,7 +93,12 @@ def test_equal_parameters_of_other_types_and_versions_are_other_scanners(
         with monkeypatch.context() as patch:
             patch.syspath_prepend(str(folder))
             seen.append(json.dumps(cell.scanners.identity(name, cell.scanners.make(name, {})), sort_keys=True))
-    assert len(set(seen)) == len(seen)
+            trials.append(Trial.of(select_views, scene_settings(load_scene(None, {"scanner": {"type": name}}))))
+            assert scene_from_settings(json.loads(trials[-1].settings)).scanner.type == name
+            if name == "one" and number:
+                with pytest.raises(FileError, match="install the same version"):
+                    scene_from_settings(json.loads(trials[0].settings))
+    assert len(set(seen)) == len(set(trials)) == len(seen)
     own = cell.scanners.make("laser-line", {})
     assert cell.scanners.identity("laser-line", own) == own.parameters()
 
