@@ -37,7 +37,7 @@ class PathWatch:
         start: state of the arm before it.
         limits: limits of the arm; the axis speeds count, and the path tolerance.
         able: capabilities of the controller.
-        now: time of the client's clock [s].
+        now: time of the client's clock at which the move was sent [s].
     """
 
     def __init__(self, move: Move, start: RobotState, limits: Limits, able: Capabilities, now: float) -> None:

@@ -175,8 +175,8 @@ class ReachCircle:
     """Reach of a robot from above.
 
     Attributes:
-        centre_mm: (x, y) of the A1 axis, base frame.
-        radius_mm: largest distance of the wrist from this axis.
+        centre_mm: (x, y) of its base in the frame of the cell.
+        radius_mm: largest distance of the wrist from the A1 axis.
     """
 
     centre_mm: tuple[float, float]
