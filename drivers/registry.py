@@ -101,14 +101,16 @@ class DriverUrl:
             raise self._invalid(name, value, f"a number above {above:g}{upper}")
         return number
 
-    def integer(self, name: str, default: int, *, at_least: int, at_most: int = 2**31 - 1) -> int:
-        """Take an integer in [at_least, at_most], by default of 32 bits."""
+    def integer(self, name: str, default: int, *, at_least: int, at_most: int | None = None) -> int:
+        """Take an integer in [at_least, at_most]; None: no bound."""
         value = self._take(name)
         if value is None:
             return default
-        if not value.isascii() or not value.isdigit() or len(value) > 18 or not at_least <= int(value) <= at_most:
-            raise self._invalid(name, value, f"a whole number of at least {at_least} and at most {at_most}")
-        return int(value)
+        number = int(value) if value.isascii() and value.isdigit() and len(value) <= 18 else -1
+        if number < at_least or (at_most is not None and number > at_most):
+            valid = f"of at least {at_least}" if at_most is None else f"from {at_least} to {at_most}"
+            raise self._invalid(name, value, f"a whole number {valid}")
+        return number
 
     def numbers(self, name: str, default: tuple[float, ...]) -> tuple[float, ...]:
         """Take finite numbers joined by commas, as many as in `default`."""

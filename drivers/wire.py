@@ -68,6 +68,9 @@ DEFAULT_WATCHDOG_MS = 1000
 WATCHDOG_RANGE_MS = (100, 5000)
 """Shortest and longest watchdog [ms] of a client; others are refused."""
 
+MAX_BAUD = 12_000_000
+"""Largest speed of a serial line [bits/s]: that of the fastest USB adapters."""
+
 MAX_POINTS = 200_000
 """Via points that the controller's buffer holds for one move (4.8 MB)."""
 

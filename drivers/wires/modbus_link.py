@@ -27,6 +27,7 @@ from drivers.registry import Context, DriverUrl
 from drivers.setpoints import AXES, SetPoints
 from drivers.wire import (
     MAX_AXES,
+    MAX_BAUD,
     REAL_TIME,
     STATUS_FIELDS,
     Commit,
@@ -396,7 +397,7 @@ class ModbusRtuDriver(ControllerClient):
         Raises:
             DriverUrlError: if it names no port, or an option is invalid.
         """
-        unit, baud = _unit(url, 1, 247), url.integer("baud", 115200, at_least=50)
+        unit, baud = _unit(url, 1, 247), url.integer("baud", 115200, at_least=50, at_most=MAX_BAUD)
         timeouts, echo = Timeouts.from_url(url), url.flag("echo")
         url.finish()
         port = ModbusPort.rtu(port_path(url), baud, unit, timeouts.answer, echo=echo)

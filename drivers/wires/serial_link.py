@@ -21,7 +21,7 @@ from drivers.clock import Clock, RealTimeClock
 from drivers.contract import Answer, Capabilities, RobotState
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
 from drivers.registry import Context, DriverUrl
-from drivers.wire import Line, ReopeningLink, Timeouts, describe_failure, port_path
+from drivers.wire import MAX_BAUD, Line, ReopeningLink, Timeouts, describe_failure, port_path
 from drivers.wires.serial_protocol import (
     COUNTS_PER_FRAME,
     FROM_CONTROLLER,
@@ -214,7 +214,7 @@ class SerialDriver(ControllerClient):
         Raises:
             DriverUrlError: if it names no port, or an option is invalid.
         """
-        baud = url.integer("baud", 115200, at_least=50)
+        baud = url.integer("baud", 115200, at_least=50, at_most=MAX_BAUD)
         timeouts = Timeouts.from_url(url)
         url.finish()
         path = port_path(url)
