@@ -16,7 +16,7 @@ from typing import Self
 
 import numpy as np
 
-from planner.cover.answer import Cover
+from planner.cover.answer import Cover, CoverStatus
 from planner.cover.budget import DEFAULT_EFFORT
 from planner.cover.problem import CoverProblem
 from planner.cover.solve import solve
@@ -312,6 +312,7 @@ class _GroupCovers:
         self._group, self._allowed = np.asarray(problem.group), np.asarray(problem.allowed)
         costs = problem.costs
         self._costs = np.ones(len(self._group)) if costs is None else np.asarray(costs, dtype=np.float64)
+        self._is_interrupted = False
 
     def best_of(
         self, choices: Sequence[tuple[int, ...]], known: Ints, *, is_complete: bool, fast: bool
@@ -383,6 +384,8 @@ class _GroupCovers:
     ) -> Cover:  # fmt: skip
         """Cover the rows that (V,) selected columns can satisfy, up to the targets.
 
+        Once Ctrl-C ended a search, later covers get no search.
+
         Args:
             columns: that may be chosen.
             share: of the budget of one cover.
@@ -409,7 +412,9 @@ class _GroupCovers:
         )  # fmt: skip
         begin = np.searchsorted(numbers, start) if start is not None and len(start) and columns[start].all() else None
         solver, budget = ("exact", self._bound_budget) if bound_only else (self._solver, self._budget)
-        cover = solve(part, rng=self._rng, solver=solver, effort_budget=int(share * budget), start=begin)
+        effort = 0 if self._is_interrupted else int(share * budget)
+        cover = solve(part, rng=self._rng, solver=solver, effort_budget=effort, start=begin)
+        self._is_interrupted |= cover.status is CoverStatus.INTERRUPTED
         return replace(cover, views=numbers[cover.views])
 
     def _solve_choice(self, groups: tuple[int, ...], share: float, start: Ints) -> Cover:

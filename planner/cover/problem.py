@@ -15,7 +15,7 @@ several set-ups of the part (groups) are cases of this one problem, `CoverProble
 the cost of columns that reach the required area, and the uncovered area for a given number of columns.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -95,8 +95,8 @@ class CoverProblem:
     max_views: int | None = None
     demand: int | NDArray[np.int64] = 1
     costs: ArrayLike | None = None
-    pinned: Iterable[int] = ()
-    banned: Iterable[int] = ()
+    pinned: Sequence[int] = ()
+    banned: Sequence[int] = ()
     group: ArrayLike | None = None
     group_costs: ArrayLike | None = None
     overlap: Overlap | None = None

@@ -28,7 +28,7 @@ than `PASS_SHARE` of the remaining effort is skipped. With different loads only 
 graph nothing is reduced, because a column that covers nothing new may still connect others.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, fsum
@@ -242,9 +242,9 @@ def _checked(problem: CoverProblem) -> tuple[Any, Bools, Ints]:
     return matrix, usable, pinned
 
 
-def _checked_columns(name: str, values: Iterable[int], n_columns: int) -> Ints:
+def _checked_columns(name: str, values: Sequence[int], n_columns: int) -> Ints:
     """Return the given columns, checked, ascending and without repetition."""
-    indices = np.unique(np.array(list(values), dtype=np.int64))
+    indices = np.unique(np.array(values, dtype=np.int64))
     outside = indices[(indices < 0) | (indices >= n_columns)]
     if len(outside):
         raise PlannerError(f"{name} names column {outside[0]}; the matrix has columns 0 to {n_columns - 1}")
@@ -309,7 +309,7 @@ def _integer_costs(
     highest = min(COST_UNITS, MAX_COST_SUM // max(len(both), 1))
     units = np.maximum(np.rint(column_costs / top * highest), 1.0).astype(np.int64)
     groups = np.rint(group_costs / top * highest).astype(np.int64)
-    if (units == units[0]).all() and not groups.any():
+    if (units == units[:1]).all() and not groups.any():
         return np.ones(n_columns, dtype=np.int64), groups, top
     return units, groups, top / highest
 

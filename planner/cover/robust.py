@@ -124,7 +124,6 @@ def robust_cover(
         PlannerError: for input that `planner.cover.solve` refuses, or an alpha that is no probability of a miss.
     """
     check_alpha(alpha)
-    problem = replace(problem, pinned=list(problem.pinned), banned=list(problem.banned))
     integer_loads = loads(layer, alpha, np.shape(problem.matrix))
     nominal = canonical_form(replace(problem, coverage=0.0))
     coverable = np.asarray(integer_loads[:, nominal.columns].sum(axis=1)).ravel() >= DEMAND

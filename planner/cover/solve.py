@@ -101,8 +101,8 @@ def _solve_regions(
         start: (n,) columns of a selection that is used if it meets every target and costs less than any other found.
 
     Raises:
-        PlannerError: if the regions do not fit the rows or their targets, a weight is not a finite number above 0, or
-            an overlap or groups are required.
+        PlannerError: if the regions do not fit the rows or their targets, a weight is not finite or below 0, or an
+            overlap or groups are required.
     """
     if problem.overlap is not None or problem.group is not None:
         raise PlannerError("region_coverage and weights cannot be combined with overlap or groups; remove one of them")
@@ -117,25 +117,34 @@ def _solve_regions(
     if has_slack.sum() <= 1:
         answer = solve_single(regions.surrogate(u, 1.0), 1.0)
         return regions.in_areas(answer, answer.views)
+    is_interrupted = False
+
+    def solve_surrogate(limit: float, share: float) -> Cover:
+        """Solve the surrogate problem with the current weights; without search once Ctrl-C ended another one."""
+        nonlocal is_interrupted
+        cover = solve_single(regions.surrogate(u, limit), 0.0 if is_interrupted else share)
+        is_interrupted |= cover.status is CoverStatus.INTERRUPTED
+        return cover
+
     bounds: list[Cover] = []
     for _ in range(_ROUNDS):
-        answer = solve_single(regions.surrogate(u, 1.0), _PROBE_SHARE)
+        answer = solve_surrogate(1.0, _PROBE_SHARE)
         bounds.append(answer)
         if regions.meets_targets(answer.views):
             break
         u[has_slack] *= np.maximum(regions.uncovered(answer.views)[has_slack] / regions.slack[has_slack], 0.1)
         u /= u.sum()
-    bounds.append(solve_single(regions.surrogate(u, 1.0), _FINAL_SHARE))
+    bounds.append(solve_surrogate(1.0, _FINAL_SHARE))
     if regions.meets_targets(bounds[-1].views):
         answer = bounds[-1]
     least = float(u[has_slack].min())
     for position in (*_TIGHTER, 0.0):
         if regions.meets_targets(answer.views):
             break
-        answer = solve_single(regions.surrogate(u, least + position * (1 - least)), _PROBE_SHARE)
+        answer = solve_surrogate(least + position * (1 - least), _PROBE_SHARE)
     if start is not None and regions.accepts(start) and regions.cost(start) < regions.cost(answer.views):
         answer = regions.in_areas(answer, start)
-    return _with_bounds(regions, answer, bounds)
+    return _with_bounds(regions, answer, bounds, is_interrupted=is_interrupted)
 
 
 class _Regions:
@@ -156,9 +165,9 @@ class _Regions:
             raise PlannerError(f"region must give each of {len(areas)} rows a region from 0 to {count - 1}")
         if not ((self.coverage >= 0) & (self.coverage <= 1)).all():
             raise PlannerError("each of region_coverage is a share of the coverable area and must be from 0 to 1")
-        self.problem = replace(problem, pinned=list(problem.pinned), banned=list(problem.banned))
+        self.problem = problem
         self._form = canonical_form(
-            replace(self.problem, coverage=0.0, max_views=None, weights=None, region=None, region_coverage=())
+            replace(problem, coverage=0.0, max_views=None, weights=None, region=None, region_coverage=())
         )
         self.slack = (1 - self.coverage) * self._by_region(np.ones(self._form.reduced.n_rows, dtype=bool))
 
@@ -207,7 +216,7 @@ class _Regions:
         return reweighted(self.problem, self._form, answer, views)
 
 
-def _with_bounds(regions: _Regions, single: Cover, bounds: list[Cover]) -> Cover:
+def _with_bounds(regions: _Regions, single: Cover, bounds: list[Cover], *, is_interrupted: bool) -> Cover:
     """Return the answer to all targets without redundant views, with the best bound of the surrogate problems."""
     views = single.views
     for view in reversed(views.tolist()):
@@ -223,7 +232,6 @@ def _with_bounds(regions: _Regions, single: Cover, bounds: list[Cover]) -> Cover
         cost_bound = min(max(each.cost_bound for each in bounds), cost)
         cost_and_bound = (cost, cost_bound)
         is_proven = cost_bound >= cost * (1 - 1e-9)
-    is_interrupted = any(each.status is CoverStatus.INTERRUPTED for each in bounds)
     ended = CoverStatus.INTERRUPTED if is_interrupted else CoverStatus.BOUNDED
     status = CoverStatus.PROVEN if is_proven else ended
     effort = sum(each.effort for each in bounds)

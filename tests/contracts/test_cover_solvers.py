@@ -148,6 +148,16 @@ def test_ctrl_c_returns_a_valid_answer_to_every_kind_of_problem(
     assert sentence.startswith("the search was interrupted; at most")
 
 
+def test_ctrl_c_ends_the_search_for_all_regions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several targets are one search: the problems after the interrupted one get no effort."""
+    M, areas = instance(4, 300, 200, 0.05)
+    options: dict[str, Any] = {"region": np.arange(300) % 3, "region_coverage": (0.9, 0.8, 0.95)}
+    interrupt_after(40, monkeypatch)
+    cover = run(M, areas, "local-search", effort_budget=4 * 10**8, **options)
+    assert cover.status is CoverStatus.INTERRUPTED
+    assert cover.effort < 10**8
+
+
 def test_ctrl_c_before_the_bound_still_gives_a_cost(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The result has the greedy cover and the cost of one column as its bound."""
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csc_array
 
-from planner.cover import CoverProblem, Overlap, grouped
+from planner.cover import Cover, CoverProblem, CoverStatus, Overlap, grouped, solve
 from planner.cover.grouped import GroupedCover, GroupLoads, fewest_groups, fewest_views, solve_grouped
 from planner.values import Ints
 from tests.support.cover_oracle import Selections
@@ -173,6 +174,24 @@ def test_more_choices_than_can_be_enumerated(
     enough = selections.weight >= float(cover.loads.target_weight[0]) - 1e-9
     assert cover.group_bound <= selections.n_groups[enough].min() <= len(cover.views) <= (max_groups or 5)
     assert cover.view_bound <= selections.size[enough].min()
+
+
+def test_ctrl_c_ends_the_search_for_all_choices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The covers after the interrupted one get no effort; the result is a cover with valid bounds."""
+    efforts: list[int] = []
+
+    def interrupted(*arguments: Any, effort_budget: int, **options: Any) -> Cover:
+        efforts.append(effort_budget)
+        answer = solve(*arguments, effort_budget=effort_budget, **options)
+        return replace(answer, status=CoverStatus.INTERRUPTED) if len(efforts) == 2 else answer
+
+    monkeypatch.setattr(grouped, "solve", interrupted)
+    cover, selections = solved(draw(101, 4, 3), [0.75], 0)
+    assert len(efforts) > 2
+    assert min(efforts[:2]) > 0 == max(efforts[2:])
+    n_groups, n_views = best(selections, selections.n_groups, selections.size)
+    assert (len(cover.views), cover.group_bound) == (n_groups, n_groups)
+    assert cover.view_bound <= n_views <= cover.n_views
 
 
 @pytest.mark.parametrize("seed", range(2))

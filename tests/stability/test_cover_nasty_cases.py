@@ -318,6 +318,12 @@ def test_a_start_that_is_not_usable_is_not_taken_for_regions() -> None:
         assert sorted(cover.views.tolist()) == ([0, 1] if "pinned" in options else [1, 2])
 
 
+def test_groups_without_columns_cover_nothing() -> None:
+    """A problem without columns has an empty cover, whatever its groups cost."""
+    problem = CoverProblem(np.zeros((3, 0), dtype=bool), np.ones(3), group=[], group_costs=[0.5])
+    assert solve(problem, rng=np.random.default_rng(0)).status is CoverStatus.NOTHING_COVERABLE
+
+
 # Refusals
 
 
