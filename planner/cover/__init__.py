@@ -15,7 +15,7 @@ search        greedy selection, local search, Meta-RaPS
 bounds        certified lower bounds; the linear programme in HiGHS
 tree          branch and bound
 solvers       `SOLVERS` by name
-selection     `solve`; targets for several regions
+solve         `solve`; targets for several regions
 overlap       views whose overlap graph is connected
 curve         coverage over the number of views
 robust        coverage at a confidence under pose errors

@@ -164,17 +164,7 @@ def make_cover(
         n_views_without_overlap: with an overlap, number of views of the cover without it.
     """
     instance = form.reduced
-    order, added = order_by_marginal_area(instance, columns)
-    if instance.maximises_area and instance.has_unit_demand:  # drop views that add nothing to those before
-        positions = [k for k, rows in enumerate(added) if len(rows) or order[k] in form.pinned_columns]
-        order, added = order[positions], [added[k] for k in positions]
-    elif instance.maximises_area:  # a view that satisfies no row may still be needed: drop those that are not
-        for column in order[::-1]:
-            others = order[order != column]
-            is_lost = instance.satisfied(others) != instance.satisfied(order)
-            if column not in form.pinned_columns and not is_lost.any():
-                order = others
-        order, added = order_by_marginal_area(instance, order)
+    order, added = _needed_in_order(form, columns)
     idle = form.idle_pins  # pinned views that measure nothing stay, at the end
     views = np.concatenate((form.columns[order], idle))
     areas = form.areas[form.rows]
@@ -188,7 +178,7 @@ def make_cover(
         is_proven = objective - instance.tolerance <= bound
         share = 1 - bound / max(instance.total_units, 1)
         upper = covered_area if is_proven else max(coverable * share, covered_area)
-        lower_bound = max(min_views, 0 if len(instance.fixed) else len(form.pinned))
+        lower_bound = min_views
     else:
         if not instance.is_feasible(order):
             raise AssertionError(f"the solver {solver!r} returned a selection that misses its target")
@@ -196,12 +186,7 @@ def make_cover(
         if cost_and_bound is not None:
             cost, cost_bound = cost_and_bound
             is_proven = is_proven and cost - cost_bound <= COST_TOLERANCE * cost
-            # besides the forced columns, at least as many as the most expensive ones need for the rest of the bound
-            forced = form.forced_columns
-            per_group = int(instance.group_costs.max(initial=0))
-            highest = int(np.delete(instance.costs, forced).max(initial=1)) + per_group
-            remaining_cost = bound - int(instance.costs[forced].sum()) - len(forced) * per_group
-            bound = len(forced) + max(-(-remaining_cost // highest), 0)
+            bound = _fewest_columns(form, bound)
         lower_bound = len(idle) + bound
     if not instance.n_rows:
         status = CoverStatus.NOTHING_COVERABLE
@@ -229,6 +214,38 @@ def make_cover(
         n_views_without_overlap=n_views_without_overlap,
         n_candidates=len(form.columns),
     )
+
+
+def _needed_in_order(form: CanonicalForm, columns: Ints) -> tuple[Ints, list[Ints]]:
+    """Order columns by marginal coverage; return them with the rows that each is the first to satisfy.
+
+    For maximum coverage columns that are not needed are left out, except pinned ones.
+    """
+    instance = form.reduced
+    order, added = order_by_marginal_area(instance, columns)
+    if not instance.maximises_area:
+        return order, added
+    if instance.has_unit_demand:  # leave out columns that add nothing to those before
+        positions = [k for k, rows in enumerate(added) if len(rows) or order[k] in form.pinned_columns]
+        return order[positions], [added[k] for k in positions]
+    for column in order[::-1]:  # a column that is the first to satisfy no row may still be needed
+        others = order[order != column]
+        is_lost = instance.satisfied(others) != instance.satisfied(order)
+        if column not in form.pinned_columns and not is_lost.any():
+            order = others
+    return order_by_marginal_area(instance, order)
+
+
+def _fewest_columns(form: CanonicalForm, cost_bound: int) -> int:
+    """Return the smallest number of columns that may cost as much as a bound, with the forced columns.
+
+    Besides these it is the number of the most expensive columns, each with a group, that the rest of the bound takes.
+    """
+    instance, forced = form.reduced, form.forced_columns
+    per_group = int(instance.group_costs.max(initial=0))
+    highest = int(np.delete(instance.costs, forced).max(initial=1)) + per_group
+    remaining_cost = cost_bound - int(instance.costs[forced].sum()) - len(forced) * per_group
+    return len(forced) + max(-(-remaining_cost // highest), 0)
 
 
 def reweighted(problem: CoverProblem, form: CanonicalForm, cover: Cover, views: Ints) -> Cover:

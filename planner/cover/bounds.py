@@ -302,10 +302,9 @@ class LinearModel:
         self._heads = self._n_basic = 0
         self.highs = _highs()
         self._fixing = np.zeros(instance.n_columns, dtype=np.int8)
-        maximises_area = instance.max_columns is not None
         is_unit = instance.full and instance.has_unit_loads and instance.has_unit_demand
         self._limit = np.inf if is_unit else 1.0
-        costs = 0.0 if maximises_area else instance.costs / self._scale
+        costs = 0.0 if instance.maximises_area else instance.costs / self._scale
         columns = self._add_variables(instance.n_columns, self._limit, costs)
         if instance.max_columns is not None:
             self._add_head(-np.inf, float(instance.max_columns), columns, np.ones(len(columns)))

@@ -112,7 +112,7 @@ def coverage_curve(
         if len(missing := np.setdiff1d(form.pinned, views)):
             raise PlannerError(f"a known selection leaves out column {missing[0]}, which is pinned")
         columns = np.flatnonzero(np.isin(form.columns[form.residual_columns], views))
-        if not len(selections) > len(columns):
+        if len(columns) >= len(selections):
             selections += [columns[: k + 1] for k in range(len(selections) - 1, len(columns))]
     with budget.stopped_by_interrupt(), budget.portion(SEARCH_SHARE):
         _improve_selections(residual, selections, rng, budget)

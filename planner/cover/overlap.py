@@ -61,17 +61,15 @@ def overlap_graph(problem: CoverProblem, cover: Cover) -> OverlapGraph:
     """Return the overlap graph of a cover's views; the problem must have an overlap."""
     assert problem.overlap is not None, "without an overlap there is no graph"
     measured = np.asarray(sp.csc_array(problem.matrix, dtype=bool)[:, cover.views].toarray())
-    measured[cover.uncoverable_rows] = False
     areas = np.asarray(problem.areas, dtype=np.float64)
     adjacent = overlap_adjacency(measured, areas, problem.overlap)
     labels = graph_components(adjacent, np.arange(len(cover.views)))
     count = int(labels.max(initial=-1)) + 1
     by_component = [float(areas[measured[:, labels == k].any(axis=1)].sum()) for k in range(count)]
-    order = sorted(range(count), key=lambda k: (-by_component[k], k))
-    rank = np.argsort(np.array(order, dtype=np.int64), kind="stable")
-    component = rank[labels] if len(labels) else labels
-    component_area = np.array([by_component[k] for k in order])
-    return OverlapGraph(component, component_area, adjacent.astype(bool), cover.coverable_area)
+    order = np.array(sorted(range(count), key=lambda k: -by_component[k]), dtype=np.int64)
+    rank = np.argsort(order)
+    component_area = np.array(by_component)[order]
+    return OverlapGraph(rank[labels], component_area, adjacent.astype(bool), cover.coverable_area)
 
 
 def connected_cover(
