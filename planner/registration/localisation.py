@@ -24,7 +24,7 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.rigid import rigid_transform
-from planner.registration.cloud import ScanCloud
+from planner.registration.cloud import ScanCloud, merge
 from planner.registration.observability import RigidFit, split_directions
 from planner.registration.registration import MIN_MATCHES, JointProblem, MovingScan, fit_majority
 from planner.registration.rigid import (
@@ -40,11 +40,12 @@ from planner.registration.rigid import (
 )
 from planner.values import Floats
 
-_COARSE, _FINE = 300, 20_000  # points of all views together
+_COARSE, _FINE = 300, 20_000  # points of all views together; a view has at least those that its match needs
 _STARTS = 60
 _FIRST, _LATER, _LAST = 8, 25, 40  # steps of a descent
 _PROMISING = 6  # starts that continue
 _MAJORITY_ROUNDS = 12  # of closest points, from a start that may be some millimetres off
+_LOST = 1e-9  # mean square along the normals below which a direction has no match, as `WEAK` of the observability
 _STILL = 1e-7  # m; a step with smaller displacements ends a descent
 _CAP = 0.02  # of the diagonal: largest distance of a point when starts are compared
 _SAME = 0.01  # of the diagonal: placements that are no farther apart are the same
@@ -88,13 +89,21 @@ def fit_surface(
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     farthest = float(np.linalg.norm(vertices - centre, axis=1).max())
     reach = search.distance + 2 * np.sin(search.angle / 2) * farthest
-    near = [ScanCloud(each.points[nearest.closest(each.points).distance <= reach], each.sensor) for each in views]
+    near = [
+        ScanCloud(points, each.sensor)
+        for each in views
+        if len(points := each.points[nearest.closest(each.points).distance <= reach])
+    ]
     if sum(map(len, near)) < MIN_MATCHES:
         raise PlannerError(
             f"only {sum(map(len, near))} points lie within {1000 * reach:.0f} mm of the nominal part, and "
             f"{MIN_MATCHES} are needed; check frame and unit of the points, or widen the search"
         )
-    coarse = _BodyFit([MovingScan(cloud, _COARSE // len(near)) for cloud in near], nearest, reach, centre, length)
+    clouds = [merge([cloud]) for cloud in near]
+    coarse, fine = (
+        _BodyFit([MovingScan(cloud, count) for cloud in clouds], nearest, reach, centre, length)
+        for count in (max(total // len(near), MIN_MATCHES) for total in (_COARSE, _FINE))
+    )
     candidates = []
     for start in _start_motions(search, centre, rng):
         coarse.set_motion(start)
@@ -108,10 +117,10 @@ def fit_surface(
         # Along a direction in which few faces look, these are outliers of the others; here they count.
         coarse.set_motion(fit_majority(coarse.scanned_points, nearest, coarse.T, reach, _MAJORITY_ROUNDS))
         promising.append((coarse.cost(), coarse.T))
-    fine = _BodyFit([MovingScan(cloud, _FINE // len(near)) for cloud in near], nearest, reach, centre, length)
+    corners = np.concatenate([np.stack([each.points.min(axis=0), each.points.max(axis=0)]) for each in near])
     results: list[tuple[float, Floats]] = []
     for _, start in sorted(promising, key=itemgetter(0))[:_PROMISING]:
-        if all(_distance_between(start, other, near) > _SAME * diagonal for _, other in results):
+        if all(_distance_between(start, other, corners) > _SAME * diagonal for _, other in results):
             fine.set_motion(start)
             fine.descend(_LAST)
             fine.set_motion(fit_majority(fine.scanned_points, nearest, fine.T, reach))
@@ -132,7 +141,7 @@ class _BodyFit:
         self, views: Sequence[MovingScan], nearest: ClosestPointQuery, reach: float, centre: Floats, length: float
     ) -> None:
         self._centre, self._length = centre, length  # of the part
-        self._views, self._nearest = [view for view in views if len(view)], nearest
+        self._views, self._nearest = views, nearest
         self._problem = JointProblem(self._views, nearest, reach, overlap=False)
         self.T: Floats = np.eye(4)
         self._held: Floats | None = None
@@ -231,12 +240,20 @@ class _BodyFit:
     def _split(
         self, information: Floats, weight: float, points_centre: Floats, own_length: float
     ) -> tuple[Floats, Floats]:
-        """Return observed directions and free or held ones, about the points' centre `points_centre` (3,)."""
-        if self._held is None:
+        """Return observed directions and free or held ones, about the points' centre `points_centre` (3,).
+
+        Directions that were observed when others were held, and have lost their matches since, are free as well.
+        """
+        if self._held is None or not weight > 0:
             return split_directions(information, weight, own_length)
         count = self._held.shape[1]
         free = recentre_directions(self._held, points_centre - self._centre, (self._length, own_length))
-        return (np.linalg.svd(free)[0][:, count:] if count else np.eye(6)), free
+        observed = np.linalg.svd(free)[0][:, count:] if count else np.eye(6)
+        B = observed / length_scale(own_length)[:, None]
+        values, vectors = np.linalg.eigh(B.T @ information @ B / weight)
+        if (is_lost := values < _LOST).any():
+            free, observed = np.hstack([free, observed @ vectors[:, is_lost]]), observed @ vectors[:, ~is_lost]
+        return observed, free
 
 
 def _start_motions(search: SearchRange, centre: Floats, rng: np.random.Generator) -> list[Floats]:
@@ -253,9 +270,8 @@ def _in_unit_ball(rng: np.random.Generator) -> Floats:
     return np.asarray(direction / np.linalg.norm(direction) * rng.uniform() ** (1 / 3))
 
 
-def _distance_between(one: Floats, other: Floats, views: Sequence[ScanCloud]) -> float:
-    """Return the largest distance between the positions of a bounding-box corner after two motions [m]."""
-    corners = np.concatenate([np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)]) for cloud in views])
+def _distance_between(one: Floats, other: Floats, corners: Floats) -> float:
+    """Return the largest distance between the positions of a point of (N, 3) corners [m] after two motions [m]."""
     both = [transform_points(T, corners) for T in (one, other)]
     return float(np.linalg.norm(both[0] - both[1], axis=1).max())
 

@@ -11,6 +11,7 @@ and not corrected: the step is restricted to the observed directions of each sca
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -48,15 +49,23 @@ class MovingScan:
     def __init__(self, scan: ScanCloud | PointCloud, samples: int) -> None:
         self._all_points = scan.points
         self._all_normals = scan.normals if isinstance(scan, PointCloud) else estimate_normals(scan.points, scan.sensor)
-        self._tree = cKDTree(scan.points, balanced_tree=False, compact_nodes=False) if len(scan) else None
+        self._scan_of_point = scan.scan if isinstance(scan, PointCloud) else None
         count = min(samples, len(scan))
         rows = (np.arange(count) * len(scan)) // max(count, 1)
         self._points, self._normals = scan.points[rows], self._all_normals[rows]
-        self.spacing = point_spacing(scan.points, scan.scan if isinstance(scan, PointCloud) else None)
         self.T: Floats = np.eye(4)
 
     def __len__(self) -> int:
         return len(self._points)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Distance of neighbouring points [m], as `point_spacing`."""
+        return point_spacing(self._all_points, self._scan_of_point)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._all_points, balanced_tree=False, compact_nodes=False)
 
     @property
     def points(self) -> Floats:
@@ -80,7 +89,6 @@ class MovingScan:
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Return distance (N,) [m], corrected point (N, 3) [m] and normal (N, 3) of the scan's nearest points."""
-        assert self._tree is not None  # only scans with points are paired
         distance, index = map(np.asarray, self._tree.query((points - self.T[:3, 3]) @ self.T[:3, :3]))
         rotation = self.T[:3, :3].T
         return distance, self._all_points[index] @ rotation + self.T[:3, 3], self._all_normals[index] @ rotation

@@ -9,8 +9,9 @@ from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import ScanCloud
-from planner.registration.localisation import SearchRange, fit_surface
+from planner.registration.localisation import SearchRange, _BodyFit, fit_surface
 from planner.registration.observability import FreeKind, surface_type
+from planner.registration.registration import MovingScan
 from planner.registration.rigid import motion_from_screw, screw_from_motion
 from planner.values import Floats
 from tests.support.meshes import as_triangles
@@ -67,6 +68,17 @@ def test_a_part_is_found_20_mm_and_5_deg_away(seed: int) -> None:
     assert found.rms == pytest.approx(NOISE, rel=0.35)  # along the normals, to which the rays are inclined
 
 
+def test_a_part_is_found_from_many_small_views() -> None:
+    """A part is found from forty views of thirty points and one without any as from one scan with all points."""
+    mesh, T_moved = _blob(), _moved(0)
+    scan = _scan(mesh, T_moved, step=0.5)
+    views = [ScanCloud(scan.points[k::40], SENSOR) for k in range(40)] + [ScanCloud(scan.points[:0], SENSOR)]
+    found = fit_surface(views, ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0))
+    T_off = found.T @ T_moved
+    assert np.linalg.norm(mesh.vertices @ T_off[:3, :3].T + T_off[:3, 3] - mesh.vertices, axis=1).max() < 5e-5
+    assert found.alternatives == found.doubts == ()
+
+
 def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
     """The standard deviations of 8 noisy scans agree with the scatter of their fits within a factor of two."""
     mesh, T_moved = _blob(), _moved(0, mm=1.0, deg=0.3)
@@ -106,6 +118,18 @@ def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
     assert all(abs(motion.direction[0]) > 0.999 for motion in motions)
     (turn,) = (motion for motion in motions if motion.kind is FreeKind.ROTATION)
     assert np.linalg.norm(turn.point[1:]) < 1e-4
+
+
+def test_directions_that_lose_their_matches_are_undetermined() -> None:
+    """A fit that holds no direction, with matches on a plane only, moves across the plane and reports the others."""
+    x, y = np.meshgrid(*[np.linspace(-0.03, 0.03, 20)] * 2)
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.006)])
+    mesh = as_triangles(trimesh.creation.box((0.1, 0.1, 0.01)))
+    body = _BodyFit([MovingScan(ScanCloud(points, SENSOR), 400)], ClosestPointQuery(mesh), 0.01, np.zeros(3), 0.05)
+    body._held = np.empty((6, 0))
+    body.descend(10)
+    np.testing.assert_allclose(body.T[:3, 3], [0.0, 0.0, -0.001], atol=1e-9)
+    assert surface_type(body.result().undetermined_motions(1e-4)) == "a plane"
 
 
 def test_a_row_of_pins_has_a_rival() -> None:
