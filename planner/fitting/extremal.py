@@ -111,6 +111,7 @@ def _with_changes(shape: Shape) -> tuple[Shape, list[int]]:
 
 
 def _objective(criterion: Criterion, distances: Floats, size: float) -> float:
+    """Return the value that a criterion minimises, for distances (N,) from a shape of this size."""
     match criterion:
         case Criterion.ZONE:
             return float(distances.max() - distances.min())

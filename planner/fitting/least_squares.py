@@ -73,8 +73,16 @@ class Fit(Value):
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of a point by the residuals and the degrees of freedom [m]; 0 without redundancy."""
-        freedom = len(self.residuals) * (2 if self.shape.kind is ShapeKind.LINE else 1) - _unknowns(self.shape.kind)
+        """Standard deviation of a point by the residuals and the degrees of freedom [m]; 0 without redundancy.
+
+        A point has two residuals from a line, and two from a circle: in its plane and across. If the plane of a circle
+        is given, so that no point moves it (`gain`), it has one, and three unknowns are left.
+        """
+        kind, count = self.shape.kind, len(self.residuals)
+        if kind is ShapeKind.CIRCLE and not self.gain[[Z, TILT_X, TILT_Y]].any():
+            freedom = count - 3
+        else:
+            freedom = count * (2 if kind in (ShapeKind.LINE, ShapeKind.CIRCLE) else 1) - len(PARAMETERS[kind])
         return float(np.sqrt((self.residuals**2).sum() / freedom)) if freedom > 0 else 0.0
 
     def covariance(self, sigma: Floats | float | None = None) -> Floats:
@@ -154,7 +162,7 @@ def _with_uncertainty(
             gain[list(components)] -= inverse[:, start : start + count, None] * directions[start : start + count]
     length = np.array([1, 1, 1, 1 / extent, 1 / extent, 1, 1 / extent])  # gain per displacement in the caller's unit
     doubts = [f"the points do not determine its {COMPONENT_NAMES[each]}" for each in dict.fromkeys(lost)]
-    if kind is ShapeKind.CONE and count * len(_rows(shape, points)) == _unknowns(kind):
+    if kind is ShapeKind.CONE and count == len(PARAMETERS[kind]):
         doubts.append("as many points as unknowns; several cones contain them")
     elif others:
         doubts.append(f"another {kind} fits the points equally well")
@@ -182,10 +190,6 @@ def _rows(shape: Shape, points: Floats) -> list[tuple[tuple[int, ...], Floats, F
         return [((Z, TILT_X, TILT_Y), plane, along), ((X, Y, SIZE), circle, radial @ frame.T[:2])]
     components = PARAMETERS[shape.kind]
     return [(components, shape.jacobian(points)[:, list(components)], shape.normals(points))]
-
-
-def _unknowns(kind: ShapeKind) -> int:
-    return len(PARAMETERS[kind])
 
 
 def _scaled(shape: Shape, centre: Floats, extent: float) -> Shape:

@@ -2,10 +2,13 @@
 
 import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from cell.inspect.measured import fit_patch
 from planner.errors import PlannerError
 from planner.fitting.extremal import Criterion, fit_extremal
 from planner.fitting.least_squares import Fit, fit
@@ -87,6 +90,23 @@ class TestLeastSquares:
         predicted = np.sqrt(np.diag(exact.covariance(sigma)))
         components = list(PARAMETERS[kind])
         assert observed[components] == pytest.approx(predicted[components], rel=0.15)
+
+    @pytest.mark.parametrize("kind", [ShapeKind.LINE, ShapeKind.PLANE, ShapeKind.CIRCLE, ShapeKind.SPHERE])
+    def test_few_points_tell_their_standard_deviation(self, kind: ShapeKind) -> None:
+        """The mean variance of fits to six noisy points is that of the noise in each direction."""
+        sigma, rng = 2e-5, np.random.default_rng(1)
+        exact = points_on(kind, 6, seed=3)
+        variances = [fit(kind, exact + sigma * rng.standard_normal(exact.shape)).sigma ** 2 for _ in range(400)]
+        assert np.mean(variances) == pytest.approx(sigma**2, rel=0.15)
+
+    def test_five_points_of_a_circle_in_a_given_plane_tell_their_standard_deviation(self) -> None:
+        """Two of the five distances are redundant: the plane is not fitted."""
+        sigma, rng, nominal = 2e-5, np.random.default_rng(1), Shape(ShapeKind.CYLINDER, CENTRE, AXIS, 0.02)
+        feature: Any = SimpleNamespace(kind="circle")
+        exact = points_on(ShapeKind.CIRCLE, 5, seed=3)
+        noisy = (exact + sigma * rng.standard_normal(exact.shape) for _ in range(400))
+        variances = [fit_patch(feature, nominal, points).sigma ** 2 for points in noisy]
+        assert np.mean(variances) == pytest.approx(sigma**2, rel=0.15)
 
     def test_a_slender_cone_on_three_short_lines_is_exact_and_uncertain(self) -> None:
         """Lines of 5 mm at a radius of 20 mm determine the angle with a standard deviation of tenths of a degree."""
