@@ -72,7 +72,7 @@ class Diagnosis(Value):
 
     Attributes:
         reason: (n,) uint8 `Reason` values.
-        pose: (n,) closest pose: candidate pose // K; -1 without candidates.
+        pose: (n,) closest pose: candidate pose // K.
         grazing_source: (n,) angle between normal and direction to the source, at that pose [rad].
         grazing_sensor: (n,) the same for the sensor [rad].
         distance: (n,) distance of source and point, at that pose [m].
@@ -108,8 +108,10 @@ def diagnose(
         progress: called with (poses done, all poses).
 
     Raises:
-        PlannerError: if `fails` is not one of these reasons for each candidate.
+        PlannerError: if `fails` is not one of these reasons for each candidate, or there is no candidate.
     """
+    if len(rows) and not len(viewpoints):
+        raise PlannerError(f"there is no candidate, so none of {len(rows)} uncovered points has a closest one")
     fails = readonly("fails", fails, (len(viewpoints),), np.uint8)
     if len(fails) and fails.min() < Reason.OUT_OF_REACH:
         raise PlannerError(f"fails contains {fails.min()}; each value must be OUT_OF_REACH (40) or a later reason")
@@ -252,9 +254,7 @@ def _angle(first: Floats, second: Floats) -> Floats:
 def _with_angles(
     targets: RayTargets, rows: Ints, poses: Floats, scanner: Scanner, reason: NDArray[np.uint8], pose: Ints
 ) -> Diagnosis:
-    if not len(poses):
-        unknown = np.full(len(rows), np.nan)
-        return Diagnosis(reason, pose, unknown, unknown, unknown)
+    """Return the diagnosis, with grazing angles and distance at the closest poses."""
     points, normals = targets.points[:, rows], targets.normals[:, rows]
     source, sensor = (
         (poses[pose, :3, :3] @ position + poses[pose, :3, 3]).T - points

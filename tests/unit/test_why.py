@@ -133,6 +133,16 @@ def test_the_grazing_angle_is_exact_and_the_smallest_sufficient_limit_is_that_an
     assert [int(limits[i]) for i in selection] == [angle_deg]
 
 
+def test_uncovered_points_without_any_candidate_are_refused() -> None:
+    """Without a candidate no cause exists; without points nothing is asked."""
+    none, part = _down(0.0, 0.2).pick(np.empty(0, dtype=np.int64)), _caster(_PLATE)
+    targets, fails = _on_plate(np.array([0.0, 0.01])), np.empty(0, dtype=np.uint8)
+    with pytest.raises(PlannerError, match="no candidate, so none of 2 uncovered points"):
+        why.diagnose(targets, np.arange(2), none, LaserArea(), (part, _FAR), fails)
+    found = why.diagnose(targets, np.empty(0, dtype=np.int64), none, LaserArea(), (part, _FAR), fails)
+    assert len(found.reason) == len(found.distance) == 0
+
+
 def test_the_verdict_of_the_robot_counts_only_if_the_scanner_would_measure() -> None:
     """A point that the scanner cannot measure has a reason of the scanner, not of the robot."""
     x = np.array([0.0, 0.04])
