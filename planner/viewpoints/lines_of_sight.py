@@ -81,6 +81,7 @@ def flatten_poses(T_object_scanner: Floats) -> Floats:
     rigid = np.isfinite(poses).all(axis=(1, 2)) & (
         np.abs(np.einsum("nij,nik->njk", R, R) - np.eye(3)).max(axis=(1, 2), initial=0.0) < 1e-6
     )
+    rigid[rigid] = np.linalg.det(R[rigid]) > 0.0
     if not rigid.all():
         raise PlannerError(
             f"pose {int(np.flatnonzero(~rigid)[0])} of T_object_scanner is not a rigid motion; its upper left "

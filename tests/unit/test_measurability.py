@@ -146,6 +146,9 @@ def test_wrong_arguments_are_named(cube):
         fill_matrix(views, samples, SCANNER, caster, method="rays", part=mesh, row_of_face=np.full(12, 600))
     with pytest.raises(PlannerError, match="not a rigid motion"):
         fill_matrix(_views(2 * np.array(views.T_object_scanner)), samples, SCANNER, caster)
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    with pytest.raises(PlannerError, match="not a rigid motion"):
+        fill_matrix(_views(views.T_object_scanner @ mirror), samples, SCANNER, caster)
     part_only = fill_matrix(views, samples, SCANNER, caster)
     with pytest.raises(PlannerError, match="24 viewpoints and 12"):
         apply_occluders(part_only, _views(views.T_object_scanner[:12]), SCANNER, caster)
