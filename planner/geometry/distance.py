@@ -435,6 +435,7 @@ def _of_segment(i: int, j: int, best: float, s: Floats) -> float:
 
 @compiled
 def _store(i: int, j: int, k: int, a: float, b: float, c: float, best: float, s: Floats) -> float:
+    """Store the weights of a point of three corners if its squared length is below `best`; return the smaller one."""
     squared: float = 0.0
     for axis in range(3):
         x = a * s[i, axis] + b * s[j, axis] + c * s[k, axis]
@@ -586,8 +587,11 @@ class TriangleTree:
             kind, size.reshape(-1, 3), (position, rotation), (part_position, part_rotation), self._tree, reach,
             any_nearer, nearest, scratch(),
         )  # fmt: skip
-        if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
-            return -measured
+        if measured > 0 and self.closed:
+            # A point of the body: the origin of a hull's vertices may lie outside it.
+            point = position + rotation.reshape(3, 3) @ size[0] if kind == HULL else position
+            if self._inside(part_rotation.reshape(3, 3).T @ (point - part_position)):
+                return -measured
         return float(measured)
 
     def distance_to_hull(
@@ -647,7 +651,7 @@ def is_closed(mesh: TriangleMesh) -> bool:
     """Return whether every edge of a mesh is shared by an even number of faces, so that it has an inside.
 
     Equal edges cancel in the exclusive or of a hash of each (splitmix64 of Steele, Lea, Flood 2014,
-    doi:10.1145/2714064.2660195): 0 remains of a closed mesh, and of one in 2^64 open ones.
+    doi:10.1145/2660193.2660195): 0 remains of a closed mesh, and of one in 2^64 open ones.
     """
     left = np.uint64(0)
     for begin in range(0, len(mesh.faces), _BLOCK):
@@ -661,7 +665,7 @@ def is_closed(mesh: TriangleMesh) -> bool:
     return bool(left == 0)
 
 
-def _morton(points: "Floats") -> NDArray[np.uint64]:
+def _morton(points: Floats) -> NDArray[np.uint64]:
     """Return the position (N,) of each point on Morton's curve, 21 bits an axis."""
     low = points.min(axis=0)
     span = max(float((points.max(axis=0) - low).max()), 1e-300)

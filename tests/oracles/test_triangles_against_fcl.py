@@ -154,6 +154,17 @@ def test_a_body_in_the_material_is_in_contact_and_one_in_the_cavity_is_not() -> 
     assert sheet.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) > 0
 
 
+def test_a_hull_beside_the_middle_of_its_box_is_not_inside() -> None:
+    """A ball in the middle of the box of a tetrahedron is outside the tetrahedron, at a distance of known size."""
+    corner = _tree(trimesh.convex.convex_hull(0.1 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])))
+    ball = _tree(trimesh.creation.icosphere(3, 0.01))
+    frames = (ZERO, UPRIGHT), (np.full(3, -0.05), UPRIGHT)
+    measured = ball.distance_to_hull(corner, frames, 1.0, any_nearer=False, points=None)
+    assert measured == pytest.approx(0.05 / np.sqrt(3) - 0.01, abs=2e-4)
+    large = _tree(trimesh.creation.icosphere(3, 0.5))
+    assert large.distance_to_hull(corner, frames, 1.0, any_nearer=False, points=None) < -0.3
+
+
 @pytest.mark.parametrize("name", ["a mug", "a torus", "triangles that cross each other"])
 def test_distances_of_two_meshes_are_those_of_fcl(name: str) -> None:
     """Triangles against triangles, apart and crossing, and against a convex mesh by its hull: to 2e-6 m."""
