@@ -182,7 +182,7 @@ def overlapping_order(overlap: Bools) -> Ordering:
 
 def is_connected_order(overlap: Bools, order: Ints) -> bool:
     """Return whether each view of an order except the first overlaps an earlier one, by `overlap` (n, n)."""
-    return all(overlap[order[k], order[:k]].any() for k in range(1, len(order)))
+    return bool(np.tril(overlap[np.ix_(order, order)], -1)[1:].any(axis=1).all())
 
 
 def grow_order(overlap: Bools, guide: Ints, first: int) -> Ints | None:
@@ -193,14 +193,13 @@ def grow_order(overlap: Bools, guide: Ints, first: int) -> Ints | None:
         guide: (n,) the order to follow, cyclically from the first view.
         first: the first view.
     """
-    waiting = np.roll(guide, -int(np.flatnonzero(guide == first)[0])).tolist()
-    order = [waiting.pop(0)]
-    while waiting:
-        following = next((view for view in waiting if overlap[view, order].any()), None)
-        if following is None:
+    waiting = np.roll(guide, -int(np.flatnonzero(guide == first)[0]))
+    order, reached = [waiting[0]], overlap[:, waiting[0]]
+    while len(waiting := waiting[waiting != order[-1]]):
+        if not (is_next := reached[waiting]).any():
             return None
-        waiting.remove(following)
-        order.append(following)
+        order.append(waiting[is_next.argmax()])
+        reached = reached | overlap[:, order[-1]]
     return np.array(order, dtype=np.int64)
 
 
