@@ -34,7 +34,7 @@ from planner.values import Bools, Floats, Ints, Value
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 MAX_VOXELS = 8_000_000
-"""Largest number of voxels of a grid, which has two byte arrays and one array of 8-byte counters."""
+"""Largest number of voxels of a grid, which takes four bytes for each, and eight more while rays are added."""
 
 _BELIEF_BOX, _BELIEF_STEPS = 3, 5
 """Distance from measured voxels up to which the belief continues [edges]: a box, and steps to face neighbours around

@@ -15,8 +15,6 @@ All of them follow from the axes' lines at q = 0. The *residual* is the largest 
 random angles. If it exceeds rounding errors, each branch is refined with Newton's method on the chain itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
@@ -367,8 +365,9 @@ class ArmKinematics:
             rows = pose[start : start + _CHUNK], branch[start : start + _CHUNK]
             q[rows] = self._newton(T[rows[0]], q[rows])
 
-    def _newton(self, T: Floats, q: Floats, steps: int = _NEWTON_STEPS) -> Floats:
-        for _ in range(steps):
+    def _newton(self, T: Floats, q: Floats) -> Floats:
+        """Return q (n, 6) [rad] after Newton's method towards poses T (n, 4, 4); NaN where it does not converge."""
+        for _ in range(_NEWTON_STEPS):
             error = pose_error(self._chain.forward(q), T)
             if np.abs(error).max(initial=0.0) < _EXACT:
                 return q

@@ -15,7 +15,7 @@ from planner.ports import JointLimits
 from planner.values import Bools, Floats, Ints, Value
 
 STEPS_PER_DEGREE = 10_000
-_TURN = 360 * STEPS_PER_DEGREE
+TURN = 360 * STEPS_PER_DEGREE  # steps
 _LIMIT_NOISE = 1e-6  # rounding, in steps, of limits that were given in degrees
 
 
@@ -71,10 +71,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
     choices = _turns(lower, upper)
     # Test each turn of each axis once; a combination of turns fits if all its axes do.
     axis_fits = [
-        {
-            k: (steps[..., axis] >= lower[axis] - k * _TURN) & (steps[..., axis] <= upper[axis] - k * _TURN)
-            for k in turns
-        }
+        {k: (steps[..., axis] >= lower[axis] - k * TURN) & (steps[..., axis] <= upper[axis] - k * TURN) for k in turns}
         for axis, turns in enumerate(choices)
     ]
     turns = np.array(list(itertools.product(*choices)), dtype=np.int64).reshape(-1, len(choices))
@@ -83,7 +80,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
         fits[..., index] = exists & np.logical_and.reduce([axis_fits[axis][k] for axis, k in enumerate(turn)])
     pose, branch, which = np.nonzero(fits)
     # The limits themselves are set-points; clipping removes the last bit by which their radians may differ.
-    q = np.clip(from_steps(steps[pose, branch] + turns[which] * _TURN), limits.lower, limits.upper)
+    q = np.clip(from_steps(steps[pose, branch] + turns[which] * TURN), limits.lower, limits.upper)
     fresh = np.ones(len(q), dtype=np.bool_)
     fresh[1:] = (pose[1:] != pose[:-1]) | (branch[1:] != branch[:-1])
     return Setpoints(np.asarray(exists.any(axis=-1)), q, pose, np.flatnonzero(fresh), np.cumsum(fresh) - 1)
@@ -98,7 +95,7 @@ def first_setpoints(branches: Floats, limits: JointLimits) -> tuple[Floats, Ints
     lower, upper = range_in_steps(limits)
     choices = _turns(lower, upper)
     turns = np.array([[each[min(k, len(each) - 1)] for each in choices] for k in range(max(map(len, choices)))])
-    steps = to_steps(branches[pose, branch]) + _TURN * turns[:, None]
+    steps = to_steps(branches[pose, branch]) + TURN * turns[:, None]
     fits = (steps >= lower) & (steps <= upper)
     is_within = fits.any(axis=0).all(axis=1)
     first = np.take_along_axis(steps, fits.argmax(axis=0)[None], axis=0)[0, is_within]
@@ -107,11 +104,11 @@ def first_setpoints(branches: Floats, limits: JointLimits) -> tuple[Floats, Ints
 
 def _turns(lower: Ints, upper: Ints) -> list[list[int]]:
     """Return for each axis the full turns that keep some angle of (-180, 180] deg within its limits; 0 first."""
-    half = _TURN // 2
-    most = int(np.abs([lower, upper]).max()) // _TURN + 1
+    half = TURN // 2
+    most = int(np.abs([lower, upper]).max()) // TURN + 1
     return [
         sorted(
-            (k for k in range(-most, most + 1) if k * _TURN + half >= low and k * _TURN - half <= high),
+            (k for k in range(-most, most + 1) if k * TURN + half >= low and k * TURN - half <= high),
             key=lambda k: (abs(k), k),
         )
         for low, high in zip(lower.tolist(), upper.tolist(), strict=True)

@@ -68,7 +68,8 @@ def connect(
         checker: collision checker with a clearance above 0.
         limits: the joint range that is searched, and the speeds that rate a detour.
         rng: source of the search's randomness; not used if the straight segment is free.
-        budget: configurations that the search may check; shortening may check half as many more.
+        budget: configurations that the search may check; shortening may check half as many more. With an indexed table
+            each path of the arm, up to two for each posture, has half of both.
     """
     require_usable(limits)
     axes = len(limits.lower)

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.geometry.rigid import rotation_matrices, rotation_vectors
-from planner.ports import JointLimits, Kinematics
+from planner.ports import JointLimits, Kinematics, axis_name
 from planner.timing.s_curve import Profile
 from planner.values import Bools, DescribedEnum, Floats, Value, readonly
 
@@ -244,7 +244,7 @@ def joint_derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floa
 
 def join_axis_names(which: Bools) -> str:
     """Return the names of some axes: "A4 and A6"."""
-    names = [f"A{axis + 1}" for axis in np.flatnonzero(which)]
+    names = [axis_name(axis) for axis in np.flatnonzero(which).tolist()]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 

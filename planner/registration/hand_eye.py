@@ -20,6 +20,7 @@ the points as outliers. Least squares with Tukey's weights refine it. Metres, ra
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from operator import itemgetter
 from typing import Annotated
 
 import numpy as np
@@ -90,8 +91,8 @@ def solve_hand_eye(scans: TargetScans, error: PoseError, rng: np.random.Generato
     started = []
     for R in _start_rotations(rng):
         started.append(_descend(scans, rigid_transform(R, np.zeros(3)), length, _FIRST))
-    results = [_descend(scans, T, length, _STEPS) for _, T in sorted(started, key=_cost)[:_PROMISING]]
-    results = sorted((_descend(scans, T, length, _STEPS, error) for _, T in results), key=_cost)
+    results = [_descend(scans, T, length, _STEPS) for _, T in sorted(started, key=itemgetter(0))[:_PROMISING]]
+    results = sorted((_descend(scans, T, length, _STEPS, error) for _, T in results), key=itemgetter(0))
     T = results[0][1]
     plain, weighted = _linearise(scans, T), _linearise(scans, T, error)
     observed, free = split_directions(plain.information, plain.weight, length)
@@ -181,10 +182,6 @@ def _descend(
         if np.abs(change).max() < _STILL:
             break
     return float((_linearise(scans, T, error).residual ** 2).sum()), T
-
-
-def _cost(result: tuple[float, Floats]) -> float:
-    return result[0]
 
 
 def _start_rotations(rng: np.random.Generator) -> Sequence[Floats]:
@@ -302,6 +299,7 @@ def fit_planes(scans: Sequence[Floats], rng: np.random.Generator, names: Sequenc
 
 
 def _fit_each(scans: Sequence[Floats], names: Sequence[str], fit: Callable[[Floats], Target]) -> list[Target]:
+    """Fit a target in each scan; name the scan in errors."""
     targets = []
     for number, points in enumerate(scans):
         try:
@@ -338,6 +336,7 @@ def fit_plane(points: Floats, rng: np.random.Generator) -> Target:
 
 
 def _thinned(points: Floats) -> Floats:
+    """Return at most `_MAX_POINTS` of the points (P, 3) of a scan; refuse points that cannot show a target."""
     if len(points) < MIN_POINTS:
         raise TargetNotFoundError(
             f"{len(points)} points do not determine a target; a scan of one needs at least {MIN_POINTS}"

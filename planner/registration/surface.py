@@ -87,6 +87,7 @@ class ImplicitSurface:
         return FieldValues(distance, normal, nearest)
 
     def _chunk(self, positions: Floats) -> tuple[Singles, Singles, Singles]:
+        """Return the attributes of `FieldValues` at positions (n, 3) [m]."""
         exact, index = map(np.asarray, self._tree.query(positions, self._neighbours))
         distance = exact.astype(np.float32)
         offset = (positions[:, None, :] - self._points[index]).astype(np.float32)

@@ -178,6 +178,13 @@ class _Tours:
         return self._shortest(self.nearest(tour, groups), tour.order, tour)
 
     def _shortest(self, groups: Sequence[Ints], order: Ints, near: _Tour | None) -> _Tour:
+        """Return the best tour with one member of each group.
+
+        Args:
+            groups: candidates of each view.
+            order: (n,) groups in the order from which the search starts.
+            near: good tour; if there are too many configurations, those with the shortest detours from it are used.
+        """
         configurations = [[self.configurations(int(view)) for view in group] for group in groups]
         owners = [
             np.repeat(group, [len(q) for q in view_configurations])

@@ -18,7 +18,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from planner.kinematics.setpoints import to_steps
+from planner.kinematics.setpoints import TURN, to_steps
 from planner.path import indexed
 from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
@@ -78,7 +78,7 @@ class Roadmap:
         # Nodes that differ by full turns have the same geometry: if a straight move between two of them collides, it
         # does for every pair with the same difference.
         self._steps = to_steps(self.q)
-        self._geometry = np.unique(self._steps % 3_600_000, axis=0, return_inverse=True)[1].reshape(-1)
+        self._geometry = np.unique(self._steps % TURN, axis=0, return_inverse=True)[1].reshape(-1)
 
     def nodes_of(self, view: int) -> Ints:
         """Return the active nodes of a view that can be left again."""
