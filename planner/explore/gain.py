@@ -125,8 +125,8 @@ def select_by_gain_per_second(
     columns = measured.T.tocsr()
     while len(selected) < count:
         rates = np.where(usable, columns @ left / seconds, 0.0)
-        if rates[best := int(rates.argmax())] <= min_rate:
+        if rates.max(initial=min_rate) <= min_rate:
             break
-        selected.append(best)
-        left[columns[[best]].indices] = 0.0
+        selected.append(int(rates.argmax()))
+        left[columns[selected[-1:]].indices] = 0.0
     return np.array(selected, dtype=np.int64)

@@ -205,6 +205,7 @@ _TUKEY = 4.685
 _TARGET_STEPS = 50
 _TARGET_STILL = 1e-9  # m
 _EXACT = 1e-9  # m; smaller residuals are rounding errors
+_NO_SPHERE = "the points do not determine a sphere; the scanned surface of a target must be curved"
 
 
 class TargetNotFoundError(PlannerError):
@@ -258,14 +259,14 @@ def fit_sphere(points: Floats, radius: float | None, rng: np.random.Generator) -
         c = c + change[:3]
         r += 0.0 if radius is not None else float(change[3])
         if not np.isfinite(c).all() or not 0 < r < 1e3 * np.ptp(near, axis=0).max():
-            raise TargetNotFoundError(
-                "the points do not determine a sphere; the scanned surface of a target must be curved"
-            )
+            raise TargetNotFoundError(_NO_SPHERE)
         if np.abs(change).max() < _TARGET_STILL:
             break
     residual = np.linalg.norm(near - c, axis=1) - r
     is_inlier = _tukey(residual) > 0
     rms = float(np.sqrt(np.mean(residual[is_inlier] ** 2)))
+    if np.linalg.matrix_rank(J[is_inlier]) < J.shape[1]:
+        raise TargetNotFoundError(_NO_SPHERE)
     sd = 0.0 if radius is not None else rms * float(np.sqrt(np.linalg.inv(J[is_inlier].T @ J[is_inlier])[3, 3]))
     return Target((c + origin)[None], rms, float(is_inlier.mean()), r, sd)
 

@@ -88,7 +88,8 @@ class ImplicitSurface:
 
     def _chunk(self, positions: Floats) -> tuple[Singles, Singles, Singles]:
         """Return the attributes of `FieldValues` at positions (n, 3) [m]."""
-        exact, index = map(np.asarray, self._tree.query(positions, self._neighbours))
+        nearest = self._tree.query(positions, self._neighbours)
+        exact, index = (np.asarray(each).reshape(len(positions), -1) for each in nearest)
         distance = exact.astype(np.float32)
         offset = (positions[:, None, :] - self._points[index]).astype(np.float32)
         normals = self._normals[index]

@@ -347,6 +347,7 @@ def test_views_are_selected_by_gain_per_second() -> None:
         left[measured[:, view]] = 0
     assert len(selection) == 4
     assert len(select_by_gain_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
+    assert len(select_by_gain_per_second(csr_array((200, 0)), areas, np.empty(0), np.empty(0, dtype=bool), 4)) == 0
     last = float((measured[:, selection[3]] & ~measured[:, selection[:3]].any(axis=1)) @ areas) / seconds[selection[3]]
     for least, views in ((last * (1 + 1e-9), 3), (last * (1 - 1e-9), 4)):
         assert len(select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4, least)) == views

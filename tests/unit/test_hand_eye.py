@@ -160,6 +160,14 @@ def test_the_points_of_a_fitted_plane_have_its_moments() -> None:
     np.testing.assert_allclose(spread, R @ np.cov(flat.T, bias=True) @ R.T, atol=1e-9)
 
 
+def test_a_flat_surface_is_no_sphere() -> None:
+    """Points of a plane, and points of which all but one coincide, are reported as no sphere."""
+    flat = np.column_stack([np.random.default_rng(0).random((50, 2)), np.zeros(50)])
+    for points in (flat, np.vstack([np.zeros((49, 3)), np.ones(3)])):
+        with pytest.raises(hand_eye.TargetNotFoundError, match="do not determine a sphere"):
+            hand_eye.fit_spheres([points], None, np.random.default_rng(0))
+
+
 @pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros((100, 3)), np.linspace(0, 1, 300).reshape(100, 3)])
 def test_points_without_a_target_are_refused(points: Floats) -> None:
     """Too few points, coincident points and collinear points are reported as no target."""

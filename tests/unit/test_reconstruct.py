@@ -8,7 +8,7 @@ from cell.metrology.reconstruct import Reconstruction, ReconstructionStatus, rec
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud, ScanCloud, merge
-from planner.registration.surface import boundary_loops, sample_by_area
+from planner.registration.surface import ImplicitSurface, boundary_loops, sample_by_area
 
 RADIUS = 0.05
 VIEWS = 0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
@@ -47,6 +47,13 @@ def test_ball_from_six_sides_is_closed_and_exact() -> None:
     assert len(mesh.vertices) - len(edges) + len(mesh.faces) == 2
     outward = np.einsum("fj,fj->f", mesh.normals, mesh.vertices[mesh.faces].mean(axis=1))
     assert outward.min() > 0
+
+
+def test_one_point_predicts_the_distance_from_its_plane() -> None:
+    """The surface of a single point is the plane across its normal."""
+    surface = ImplicitSurface(PointCloud(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.zeros(1, dtype=np.int32)))
+    field = surface.evaluate(np.array([[0.003, 0.0, 0.002], [0.0, 0.004, -0.003]]))
+    np.testing.assert_allclose(field.distance, [0.002, -0.003], rtol=1e-6)
 
 
 def test_noise_is_averaged() -> None:
