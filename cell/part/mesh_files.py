@@ -19,7 +19,7 @@ import numpy as np
 from cell import files
 from cell.errors import FileError
 from cell.part import cad, glb, three_mf
-from cell.part.formats import STEP, SUFFIXES
+from cell.part.formats import STEP, SUFFIXES, UNITS
 from cell.part.polygon_files import read_obj, read_off, read_ply
 from cell.part.polygons import PolygonError, PolygonMesh, triangulate
 from cell.text import decode, lines_of, parse_numbers
@@ -94,6 +94,25 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         FileError: if the content is not a mesh of this format, has no faces, or a used coordinate is not finite.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of transforms; `check_mesh` finds what is not finite
+def parse_metres(path: Path, content: bytes, units: str) -> tuple[Floats, Ints]:
+    """Return vertices (V, 3) [m] and triangles (F, 3) of a mesh file, as `parse` in the axes of the file.
+
+    Args:
+        path: for the suffix, the messages, and the files beside a .gltf.
+        content: of the file.
+        units: of the file, a key of `UNITS`; "m" for 3MF, and for a STEP file that states its unit.
+
+    Raises:
+        UsageError: if both a STEP file and the caller state a unit, or neither does.
+        FileError: as `parse`.
+    """
+    if path.suffix.lower() in STEP:
+        solids = cad.read_step(str(path), content, units)
+        return check_mesh(str(path), solids.vertices, solids.faces)
+    vertices, faces = parse(path, content)
+    return vertices * UNITS[units], faces
+
+
         return check_mesh(str(path), *_read(path, content))
 
 
@@ -260,12 +279,13 @@ COLOUR_TOLERANCE = 32
 """Tolerance of red, green and blue in steps of 255: colours are blended at borders, and rounded."""
 
 
-def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
+def read_coloured(path: Path, units: str) -> tuple[TriangleMesh, Floats]:
     """Read a coloured mesh: STEP, PLY, OBJ, OFF or GLB.
+        UsageError: if both a STEP file and the caller state a unit, or neither does.
 
     Args:
         path: of the file.
-        metres: metres in one unit of the file.
+        units: of the file, as of `parse_metres`.
 
     Returns:
         The mesh [m], and red, green and blue of its triangles (F, 3), 0 to 255: the mean of vertex colours; NaN for a
@@ -275,18 +295,19 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
         FileError: if it cannot be read, or has no colours.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        mesh, colours = _read_coloured(path, metres)
-    _require_in_range(str(path), mesh.vertices / metres)
+        mesh, colours = _read_coloured(path, units)
+    if problem := distance_problem(mesh.vertices / UNITS[units]):
+        raise FileError(f"{path} {problem}")
     return mesh, colours
 
 
-def _read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
-    content, suffix = read_bytes(path), path.suffix.lower()
+def _read_coloured(path: Path, units: str) -> tuple[TriangleMesh, Floats]:
+    content, suffix, metres = read_bytes(path), path.suffix.lower(), UNITS[units]
     if suffix in STEP:
-        vertices, faces, of_face = cad.read_coloured_step(str(path), content)
+        vertices, faces, of_face = cad.read_coloured_step(str(path), content, units)
         if np.isnan(of_face).all():
             raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
-        return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
+        return TriangleMesh(vertices, faces.astype(np.int32)), of_face
     if suffix not in (*_POLYGON_READERS, ".glb"):
         raise FileError(f"{path} is '{suffix}'; colours are read from STEP, PLY, OBJ, OFF and GLB")
     try:

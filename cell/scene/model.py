@@ -257,6 +257,13 @@ class MeshFixture(NamedFixture):
     def _found(cls, path: str, info: ValidationInfo) -> str:
         return existing_file(path, info)
 
+    @field_validator("units")
+    @classmethod
+    def _given_for_a_file_without(cls, units: str, info: ValidationInfo) -> str:
+        if why := units_problem(path := info.data.get("path", ""), units):
+            raise ValueError(f"is given for {path}, which {why}")
+        return units
+
 
 Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cell.errors import SceneError
 from cell.formatting import comma_list
 from cell.part import workpiece
+from cell.part.formats import own_units
 from cell.part.workpiece import size_findings
 from cell.robot.arm import wrist_in_flange, wrist_positions
 from cell.robot.model import AXES, model_warnings
@@ -111,7 +112,8 @@ def find_warnings(world: World) -> list[str]:
     for fixture in fixtures:
         if isinstance(fixture, MeshFixture):
             size = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
-            findings = size_findings(size, fixture.units, _object_name(world, fixture.name))
+            units = None if fixture.units == own_units(fixture.path) else fixture.units
+            findings = size_findings(size, units, _object_name(world, fixture.name))
             warnings += [finding.sentence for finding in findings]
     return warnings + _fixture_penetrations(world, solids) + _unsupported_objects(world, solids)
 

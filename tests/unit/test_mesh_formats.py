@@ -389,7 +389,7 @@ def test_colours_of_concave_polygons(tmp_path: Path, suffix: str) -> None:
             rows += ["v " + " ".join(map(str, [*vertices[k], *colour])) for k in face]
             rows.append("f " + " ".join(str(next(corners)) for _ in face))
         path.write_text("\n".join(rows))
-    mesh, colours = read_coloured(path, 1e-3)
+    mesh, colours = read_coloured(path, "mm")
     is_red = (colours == [255, 0, 0]).all(axis=1)
     assert mesh.areas[is_red].sum() * 1e6 == pytest.approx(2 * (100 * 30 + 30 * 50))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pydantic import ValidationError
 
 from cell.errors import CellError, FileError, UsageError
 from cell.part.description import volume as described_volume
@@ -408,6 +409,16 @@ def test_a_glb_without_units_is_in_metres(tmp_path: Path) -> None:
         {"part": {"path": str(path)}, "fixtures": [vice, {**vice, "name": "two", "units": "in"}]}
     )
     assert [scene.part.units, *(fixture.units for fixture in scene.fixtures)] == ["m", "m", "in"]
+
+
+def test_a_fixture_of_a_file_with_a_unit_has_no_other(tmp_path: Path) -> None:
+    """Units of a 3MF are refused by the scene, as those of a part."""
+    path = tmp_path / "vice.3mf"
+    path.write_bytes(b"PK")
+    vice = {"name": "vice", "shape": "mesh", "path": str(path)}
+    assert [each.units for each in Scene.model_validate({"fixtures": [vice]}).fixtures] == ["m"]
+    with pytest.raises(ValidationError, match="states its own unit; omit the units"):
+        Scene.model_validate({"fixtures": [{**vice, "units": "mm"}]})
 
 
 def test_the_volume_of_a_part_far_from_its_origin_keeps_its_digits(tmp_path: Path) -> None:
