@@ -321,14 +321,22 @@ def three_mf(path: Path, unit: str, items: str, required: str = "") -> bytes:
     """Return a 3MF file with the triangles of the prism as object 1, and a mirrored copy at x 300 as object 2."""
     vertices, _ = prism()
     triangles = stl_triangles()
-    core = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
     points = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in vertices)
     corners = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles)
-    model = (
-        f'<?xml version="1.0"?><model unit="{unit}" xmlns="{core}" {required}><resources><object id="1"><mesh>'
-        f"<vertices>{points}</vertices><triangles>{corners}</triangles></mesh></object>"
+    objects = (
+        f'<object id="1"><mesh><vertices>{points}</vertices><triangles>{corners}</triangles></mesh></object>'
         '<object id="2"><components><component objectid="1" '
-        f'transform="-1 0 0 0 1 0 0 0 1 300 0 0"/></components></object></resources><build>{items}</build></model>'
+        'transform="-1 0 0 0 1 0 0 0 1 300 0 0"/></components></object>'
+    )
+    return packed(path, objects, items, f'unit="{unit}" {required}')
+
+
+def packed(path: Path, objects: str, items: str, attributes: str = "") -> bytes:
+    """Write a 3MF file of objects and build items; return its bytes."""
+    core = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+    model = (
+        f'<?xml version="1.0"?><model xmlns="{core}" {attributes}><resources>{objects}</resources>'
+        f"<build>{items}</build></model>"
     )
     relation = 'Target="/3D/m.model" Id="r" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"'
     space = 'xmlns="http://schemas.openxmlformats.org/package/2006/relationships"'
@@ -364,6 +372,22 @@ def test_3mf_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         measures(path, three_mf(path, "inch", '<item objectid="7"/>'))
     with pytest.raises(FileError, match="archive or model is broken"):
         measures(path, b"PK\x03\x04 nothing")
+def test_a_3mf_of_nested_copies_is_refused_before_it_is_expanded(tmp_path: Path) -> None:
+    """Ten copies in ten copies, nine deep, are a billion triangles in two kilobytes; seven copies are read."""
+    ten = ("".join(10 * [f'<component objectid="{k}"/>']) for k in range(1, 10))
+    copies = "".join(f'<object id="{k}"><components>{each}</components></object>' for k, each in enumerate(ten, 2))
+    triangle = "<mesh><vertices>{}</vertices><triangles><triangle v1='0' v2='1' v3='2'/></triangles></mesh>".format(
+        "".join(f"<vertex x='{x}' y='{y}' z='0'/>" for x, y in ((0, 0), (9, 0), (0, 9)))
+    )
+    for items, is_refused in (('<item objectid="10"/>', True), (7 * '<item objectid="1"/>', False)):
+        content = packed(tmp_path / "l.3mf", f'<object id="1">{triangle}</object>{copies}', items)
+        if is_refused:
+            with pytest.raises(FileError, match="expands to more triangles than it has bytes"):
+                parse(tmp_path / "l.3mf", content)
+        else:
+            assert len(parse(tmp_path / "l.3mf", content)[1]) == 7
+
+
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".off", ".obj"])
