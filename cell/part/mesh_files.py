@@ -21,7 +21,7 @@ from cell.errors import FileError
 from cell.part import cad, glb, three_mf
 from cell.part.formats import STEP, SUFFIXES, UNITS
 from cell.part.polygon_files import read_obj, read_off, read_ply
-from cell.part.polygons import PolygonError, PolygonMesh, triangulate
+from cell.part.polygons import PolygonError, PolygonMesh, distance_problem, triangulate
 from cell.text import decode, lines_of, parse_numbers
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
@@ -38,9 +38,6 @@ _OTHER_CONTENT = {
     b"gltf\x02": ("is a binary glTF file; name it .glb", ".glb"),
 }
 """Sentence for the first bytes of other files, and the suffixes that may have them."""
-
-MAX_COORDINATE = 1e9
-"""Largest coordinate in the unit of the file: products of three lengths are finite, also in single precision."""
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
@@ -94,6 +91,9 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         FileError: if the content is not a mesh of this format, has no faces, or a used coordinate is not finite.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of transforms; `check_mesh` finds what is not finite
+        return check_mesh(str(path), *_read(path, content))
+
+
 def parse_metres(path: Path, content: bytes, units: str) -> tuple[Floats, Ints]:
     """Return vertices (V, 3) [m] and triangles (F, 3) of a mesh file, as `parse` in the axes of the file.
 
@@ -111,9 +111,6 @@ def parse_metres(path: Path, content: bytes, units: str) -> tuple[Floats, Ints]:
         return check_mesh(str(path), solids.vertices, solids.faces)
     vertices, faces = parse(path, content)
     return vertices * UNITS[units], faces
-
-
-        return check_mesh(str(path), *_read(path, content))
 
 
 def _read(path: Path, content: bytes) -> tuple[Floats, Ints]:
@@ -166,16 +163,9 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
             f"{source} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
             "repair or export the mesh again"
         )
-    _require_in_range(source, vertices)
+    if problem := distance_problem(vertices):
+        raise FileError(f"{source} {problem}")
     return vertices, faces
-
-
-def _require_in_range(source: str, vertices: Floats) -> None:
-    if (largest := float(np.abs(vertices).max())) > MAX_COORDINATE:
-        raise FileError(
-            f"{source} has a coordinate of {largest:.3g}, and the limit is {MAX_COORDINATE:g} in the unit of the file; "
-            "check scales and places in it, and export the mesh again"
-        )
 
 
 def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
@@ -281,7 +271,6 @@ COLOUR_TOLERANCE = 32
 
 def read_coloured(path: Path, units: str) -> tuple[TriangleMesh, Floats]:
     """Read a coloured mesh: STEP, PLY, OBJ, OFF or GLB.
-        UsageError: if both a STEP file and the caller state a unit, or neither does.
 
     Args:
         path: of the file.
@@ -292,6 +281,7 @@ def read_coloured(path: Path, units: str) -> tuple[TriangleMesh, Floats]:
         CAD face without colour.
 
     Raises:
+        UsageError: if both a STEP file and the caller state a unit, or neither does.
         FileError: if it cannot be read, or has no colours.
     """
     with np.errstate(over="ignore", invalid="ignore"):

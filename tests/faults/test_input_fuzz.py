@@ -107,6 +107,19 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
     "nodes in a circle": (
         "x.glb", _glb(_scene(nodes=[{"children": [1]}, {"children": [0]}]), _TRIANGLE), "a node under two parents"
     ),
+    "a morph target of one vertex": (
+        "x.glb",
+        _glb(_scene(
+            meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "targets": [{"POSITION": 1}]}], "weights": [1]}],
+            accessors=[_ACCESSOR, {**_ACCESSOR, "count": 1}],
+        ), _TRIANGLE),
+        "a morph target with another number of vertices",
+    ),
+    "a polygon with a corner at 1e308": (
+        "x.off",
+        b"OFF\n5 2 0\n0 0 0\n9 0 0\n9 9 0\n0 9 1e308\n4 4 5\n4 3 2 1 0\n3 0 1 4\n",
+        "has a coordinate of 1e+308",
+    ),
     "a deep description": ("x.glb", _glb(b"[" * 100_000), "cannot be read"),
     "a description of another kind": ("x.glb", _glb(b"[1, 2]"), "not an object"),
     "nodes of another kind": ("x.glb", _glb(_scene(nodes={"a": 1}), _TRIANGLE), "that is not a list"),

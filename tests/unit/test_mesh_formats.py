@@ -185,12 +185,21 @@ def test_ply_in_every_form(tmp_path: Path, form: str, before: str, comment: str)
         measures(tmp_path / "l.ply", content[:-4])
 
 
+@pytest.mark.parametrize("faces", ["f 1 2 3\nf /1", "f /1\nf 1 2 3"])
+def test_a_face_without_corners_is_named_in_a_coloured_mesh(tmp_path: Path, faces: str) -> None:
+    """Colours of vertices have no mean over no corners."""
+    rows = [f"v {x} {y} 0 1 0 0" for x, y in ((0, 0), (9, 0), (0, 9))]
+    with pytest.raises(FileError, match=r"has a face with 0 corners \(face \d\)"):
+        measures(tmp_path / "l.obj", "\n".join([*rows, faces]))
+
+
 def test_ply_triangle_strips(tmp_path: Path) -> None:
     """A strip of a box side and a restart mark give the triangles with consistent winding."""
     rows = ["0 0 0", "1 0 0", "0 1 0", "1 1 0", "0 2 0", "1 2 0"]
     head = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {axis}" for axis in "xyz")]
     head += ["element tristrips 1", "property list int int vertex_indices", "end_header"]
-    content = "\n".join([*head, *rows, "9 0 1 2 3 -1 2 3 4 5", ""])
+    strips = ["1 0", "9 0 1 2 3 -1 2 3 4 5", "0"]
+    content = "\n".join([*head, *rows, *strips, ""]).replace("tristrips 1", "tristrips 3")
     (tmp_path / "s.ply").write_text(content)
     vertices, faces = parse(tmp_path / "s.ply", content.encode())
     cross = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
@@ -363,15 +372,6 @@ def test_3mf_with_units_components_and_transforms(tmp_path: Path) -> None:
         assert size == pytest.approx(np.array([300, 80, HEIGHT]) * metres)
 
 
-def test_3mf_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    """Required extensions, missing objects and broken archives have a sentence each."""
-    path = tmp_path / "l.3mf"
-    with pytest.raises(FileError, match="extension 'p'"):
-        measures(path, three_mf(path, "inch", '<item objectid="1"/>', 'requiredextensions="p" xmlns:p="x"'))
-    with pytest.raises(FileError, match="missing object 7"):
-        measures(path, three_mf(path, "inch", '<item objectid="7"/>'))
-    with pytest.raises(FileError, match="archive or model is broken"):
-        measures(path, b"PK\x03\x04 nothing")
 def test_a_3mf_of_nested_copies_is_refused_before_it_is_expanded(tmp_path: Path) -> None:
     """Ten copies in ten copies, nine deep, are a billion triangles in two kilobytes; seven copies are read."""
     ten = ("".join(10 * [f'<component objectid="{k}"/>']) for k in range(1, 10))
@@ -388,6 +388,15 @@ def test_a_3mf_of_nested_copies_is_refused_before_it_is_expanded(tmp_path: Path)
             assert len(parse(tmp_path / "l.3mf", content)[1]) == 7
 
 
+def test_3mf_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    """Required extensions, missing objects and broken archives have a sentence each."""
+    path = tmp_path / "l.3mf"
+    with pytest.raises(FileError, match="extension 'p'"):
+        measures(path, three_mf(path, "inch", '<item objectid="1"/>', 'requiredextensions="p" xmlns:p="x"'))
+    with pytest.raises(FileError, match="missing object 7"):
+        measures(path, three_mf(path, "inch", '<item objectid="7"/>'))
+    with pytest.raises(FileError, match="archive or model is broken"):
+        measures(path, b"PK\x03\x04 nothing")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".off", ".obj"])
