@@ -235,13 +235,17 @@ def test_a_name_that_no_file_can_have_is_no_bug(
     assert "bug" not in process.stderr
 
 
-def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
-    """A fixture with a name that is too long or an invalid path is refused."""
-    for line, words in (
-        (f'name = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "101 characters; it must have at most 100"),
-        (f'name = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no valid file name"),
+def test_names_and_paths_in_a_scene_are_looked_at(tmp_path: Path) -> None:
+    """Names of fixtures that are too long, invalid paths, and the home folder of an unknown user are refused."""
+    painted = '[[region]]\nname = "a"\ncolour = "#ff0000"\npainted_units = "mm"\npainted ='
+    for content, words in (
+        (f'[[fixtures]]\nname = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "it must have at most 100"),
+        (f'[[fixtures]]\nname = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no valid file name"),
+        (f'{painted} "{"n" * 300}.ply"', "no valid file name"),
+        (f'{painted} "~no-such-user/a.ply"', "no valid file name"),
+        ('[robot.packages]\narm = "~no-such-user/arm"', "robot.packages names '~no-such-user/arm', below the home"),
     ):
-        (tmp_path / "x.toml").write_text(f"[[fixtures]]\n{line}\n")
+        (tmp_path / "x.toml").write_text(content)
         with pytest.raises(SceneError, match=words):
             load_scene(tmp_path / "x.toml")
 
