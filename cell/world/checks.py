@@ -332,6 +332,8 @@ def _wrist_occlusion(world: World) -> float:
         if name in _WRIST_SHAPES:
             vertices, faces = geom_triangles(world.model, data, geom)
             pieces.append(Occluder(name, (vertices - origin) @ R, faces))
+    if "link_6" not in solids:  # of an arm from a file, without shape
+        return []
     return _occlusion(world, pieces)
 
 
