@@ -29,7 +29,7 @@ from cell.robot.arm import wrist_in_flange, wrist_positions
 from cell.robot.model import AXES, model_warnings
 from cell.scene.model import MeshFixture, Scene
 from cell.scene.regions import region_areas, with_regions
-from cell.scene.settle import SettledScene, settle
+from cell.scene.settle import Settings, SettledScene, settle
 from cell.world import shapes as cell_shapes
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
@@ -823,7 +823,7 @@ def check_cell(settled: SettledScene, world: World) -> CheckResult:
     distance, nearest = checker.distance(world.home[None])
     envelope = _envelope(world)
     problems = find_problems(world)
-    if problem := _beyond_reach(world, envelope, max(settings.standoffs)):
+    if problem := _beyond_reach(world, envelope, _farthest_point(settings)):
         problems.append(problem)
     lower, upper = (np.rad2deg(ends).round(6).tolist() for ends in (world.limits.lower, world.limits.upper))
     standing = {"part", "post", TABLE, "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
@@ -864,12 +864,27 @@ def _envelope(world: World) -> Envelope:
     )
 
 
-def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
-    """Describe a part whose nearest point is beyond the standoff from the reach: a necessary condition only."""
+def _farthest_point(settings: Settings) -> float:
+    """Return the largest distance of a point from the source [m]: candidates grow over the whole range.
+
+    The range of a line sensor is a depth, and its ends are farther away than its middle.
+    """
+    far = settings.scanner.get("range_mm", (0.0, 1000 * max(settings.standoffs)))[1] / 1000
+    return float(far / np.cos(np.radians(settings.scanner.get("fan_deg", 0.0)) / 2))
+
+
+def _beyond_reach(world: World, envelope: Envelope, farthest_point: float) -> str:
+    """Describe a part whose nearest point no reachable source is near enough to: a necessary condition only.
+
+    Args:
+        world: the cell.
+        envelope: reach of the arm.
+        farthest_point: largest distance of a point from the source [m].
+    """
     T_base_centre = world.T_base_object @ world.T_object_centre
     centre = (np.linalg.inv(world.scene.robot.T_base) @ T_base_centre)[:3, 3]
     radius = float(np.linalg.norm(world.part_hull.vertices - world.T_object_centre[:3, 3], axis=1).max())
-    farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + standoff
+    farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + farthest_point
     if world.table is not None:  # half a turn may bring the part nearer
         farthest += 2 * float(np.linalg.norm(world.table.to_table_frame(T_base_centre[:3, 3])[:2]))
     gap = float(np.hypot(centre[0], centre[1])) - radius - farthest

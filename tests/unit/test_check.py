@@ -67,10 +67,10 @@ def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "is_outside"), [(2200, False), (2270, False), (2300, True), (9000, True)]
-)  # 1610.9 + 278 + the standoff of 300 + the ball's radius of 100 = 2288.9
+    ("x", "is_outside"), [(2200, False), (2400, False), (2430, False), (2450, True), (9000, True)]
+)  # 1610.9 + 278 + the far end of the range, 450, + the ball's radius of 100 = 2438.9
 def test_a_part_out_of_reach_is_a_problem(ball: dict, x: float, is_outside: bool) -> None:
-    """A part beyond arm, tool and standoff is reported as out of reach."""
+    """A part beyond arm, tool and range is reported as out of reach; at 2400 mm a plan measures a tenth of it."""
     result = check_scene(Scene.model_validate({"part": ball, "placement": {"position_mm": [x, 0, 500]}}))
     assert any("out of reach" in problem for problem in result.problems) == is_outside
 
