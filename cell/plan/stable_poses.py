@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cell.scene.model import Post
-from cell.world.checks import centre_of_mass, hull_margin
+from cell.world.balance import centre_of_mass, hull_margin
 from cell.world.solids import Solid
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
