@@ -303,16 +303,17 @@ def _volume_error(source: str, groups: list[bytes], model: StepModel, scale: flo
         other = abs(float(np.einsum("fj,fj->", finer[:, 0], np.cross(finer[:, 1], finer[:, 2]))) / 6)
         return abs(other - volume) * 4 / 3 / volume
     missing = 0.0
-    for index, face in enumerate(model.cad.faces):
+    counts = np.bincount(model.cad.of_triangle, minlength=len(model.cad.faces))
+    rows_of = np.split(np.argsort(model.cad.of_triangle, kind="stable"), np.cumsum(counts)[:-1])
+    for face, rows in zip(model.cad.faces, rows_of, strict=True):
         if face.kind in (SurfaceKind.CYLINDER, SurfaceKind.SPHERE, SurfaceKind.CONE, SurfaceKind.TORUS):
-            mask = model.cad.of_triangle == index
-            triangles = model.vertices[model.faces[mask]]
+            triangles = model.vertices[model.faces[rows]]
             middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
             outside = (
-                middles + 1e-6 * (cross[mask] / np.linalg.norm(cross[mask], axis=1, keepdims=True).clip(1e-30))[:, None]
+                middles + 1e-6 * (cross[rows] / np.linalg.norm(cross[rows], axis=1, keepdims=True).clip(1e-30))[:, None]
             )
             distance, moved = face.distance(middles), face.distance(outside)
-            missing += float((areas[mask, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
+            missing += float((areas[rows, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
     return abs(missing) / volume
 
 

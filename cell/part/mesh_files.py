@@ -151,9 +151,12 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
         raise FileError(f"{source} is broken: its vertices do not have three coordinates; export the mesh again")
     if not len(faces):
         raise FileError(f"{source} holds no faces; it must be a triangle mesh, not points, lines or text")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise FileError(f"{source} is broken: its faces do not have three corners; export the mesh again, as triangles")
     if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
         raise FileError(
-            f"{source} is broken: a face refers to vertex {int(faces.max())} (counted from 0), but there are "
+            f"{source} is broken: a face refers to vertex {int(wrong)} (counted from 0), but there are "
             f"{len(vertices)}; export the mesh again"
         )
     vertices, faces = _merge_vertices(vertices, faces)

@@ -28,7 +28,8 @@ _DEVICE_OF_BUILT_IN = {  # by the standoffs of the paper's objects
     **{"mseke": LARGE, "mug": MEDIUM, "robinet": MEDIUM},
     **{"petanque": LARGE, "humerus": SMALL, "st-jean": LARGE},
 }
-_BY_SIDE = ((30.0, SMALL), (100.0, MEDIUM))  # longest side up to the middle of the device's range [mm]; else the large
+_BY_SIDE = ((30.0, SMALL), (100.0, MEDIUM))
+"""Largest longest side of a part [mm] for which a device is the default, the middle of its range; above: `LARGE`."""
 
 # Planning faces of the built-in parts are the paper's (Tables 1 and 2); a change needs a line in CHANGELOG.md.
 _FACES_OF_BUILT_IN = {"mseke": 930, "mug": 748, "robinet": 814, "petanque": 338, "humerus": 276, "st-jean": 746}

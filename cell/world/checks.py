@@ -642,7 +642,7 @@ class CheckResult:
     def rows(self) -> list[tuple[str, str]]:
         """Return the result as a table of two columns."""
         contacts = "; ".join(f"{pair} ({distance:.1f} mm)" for pair, distance in self.contacts_at_home)
-        nearest = f"{self.nearest_at_home}, {self.nearest_at_home_mm:.1f} mm" if self.nearest_at_home else "none"
+        nearest = f"{self.nearest_at_home}, {self.nearest_at_home_mm:.1f} mm"
         limits = ", ".join(f"{axis} {low:g}..{high:g}" for axis, (low, high) in self.joint_limits_deg.items())
         reach = self.envelope
         bracket = f", bracket {self.bracket_length_mm:g} mm" if self.bracket_length_mm else ", no bracket"
@@ -653,7 +653,7 @@ class CheckResult:
             ("part's centre", f"{comma_list(self.placement_mm)} mm in base"),
             ("home", f"{comma_list(self.home_deg)} deg"),
             ("contacts at home", contacts or "none"),
-            ("nearest at home", nearest if nearest != "none" else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
+            ("nearest at home", nearest if self.nearest_at_home else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
             ("joint limits", f"{limits} deg"),
             (
                 "reach",
