@@ -48,6 +48,7 @@ class Rest:
         feet = solid.vertices[np.unique(solid.faces)]
         points = np.concatenate([points[np.isfinite(bottom)], feet[feet[:, 2] <= solid.low[2] + CONTACT_DISTANCE]])
         height, face = _vertical_hits(below, points[:, 0], points[:, 1], points[:, 2] + CONTACT_DISTANCE)
+        height[(face < 0) & (points[:, 2] >= floor)] = floor  # it is endless
         self._points, self._gaps = points, points[:, 2] - height
         self._below = np.where(face >= 0, self._object_of_face[face], len(self._names) - 1)
 

@@ -90,7 +90,7 @@ def find_problems(world: World) -> list[str]:
         *_home_outside_limits(world),
         *_occluded_field_of_view(world),
         *_housing_in_wrist(world, solids),
-        *_part_outside_room(world),
+        *_part_outside_room(world, solids),
         *_stationary_penetrations(world, solids),
         *_objects_near_arm(world, solids),
         *_arm_near_cell(world),
@@ -103,7 +103,7 @@ def find_warnings(world: World) -> list[str]:
     fixtures, warnings = world.scene.fixtures, [*model_warnings(world.spec), *_limited_table(world)]
     if not fixtures and world.scene.post.enabled:
         return warnings
-    solids = {name: solid for name, solid in cell_solids(world).items() if name not in robot_bodies(world)}
+    solids = cell_solids(world)
     for fixture in fixtures:
         if isinstance(fixture, MeshFixture):
             size = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
@@ -120,7 +120,7 @@ def _object_name(world: World, name: str) -> str:
     return f"the {name}" if name in ("part", TABLE, *BUILT_IN_OBSTACLES) else f"the fixture '{name}'"
 
 
-def _move_object(world: World, name: str, move: Floats) -> str:
+def _move_object(world: World, solids: dict[str, Solid], name: str, move: Floats) -> str:
     """Return the instruction that moves part, post, table or a fixture by (3,) [m], base frame."""
     length = float(np.linalg.norm(move))
     tenths = np.ceil(length * 1e4 - _ROUNDING) / 1e4
@@ -135,13 +135,9 @@ def _move_object(world: World, name: str, move: Floats) -> str:
         key, position, step = f"fixtures[{index}].position_mm", fixtures[index].T[:3, 3], move
         if fixtures[index].attached_to == "object":
             step = world.T_base_object[:3, :3].T @ move
-    if hit := _hit_by_move(world, cell_solids(world), name, move):
+    if hit := _hit_by_move(world, solids, name, move):
         return f"change {key}: the shortest move would bring it into {_object_name(world, hit[0])}"
     return _move_key(key, position, step)
-
-
-def _moved(solid: Solid, move: Floats) -> Solid:
-    return Solid(solid.name, solid.vertices + move, solid.faces, solid.axes)
 
 
 def _hit_by_move(world: World, solids: dict[str, Solid], name: str, move: Floats) -> list[str]:
@@ -155,7 +151,7 @@ def _hit_by_move(world: World, solids: dict[str, Solid], name: str, move: Floats
     moving = with_part if name in ("part", "post") else {name}
     arm, hit = [each for each in robot_bodies(world) if each not in _STATIONARY], dict[str, None]()
     for mover in sorted(moving & solids.keys()):
-        there, here = _moved(solids[mover], move), solids[mover]
+        there, here = solids[mover].with_vertices(solids[mover].vertices + move), solids[mover]
         for other in solids.keys() - moving:
             if other in arm:
                 is_new = touches(there, solids[other], world.clearance) and not touches(
@@ -180,24 +176,32 @@ def _triple(values: Floats) -> str:
     return f"({', '.join(f'{value:.7g}' for value in np.round(values, 3) + 0.0)})"
 
 
-def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None = None, at_home: bool = False) -> str:
+def _penetration(
+    world: World, solids: dict[str, Solid], one: Solid, other: Solid, *, move: Floats | None = None,
+    at_home: bool = False,
+) -> str:  # fmt: skip
     """Describe a movable object inside another one.
 
     Args:
         world: the cell of both.
+        solids: its objects.
         one: part, post, table or a fixture.
         other: any object.
         move: (3,) of `one` that separates it from more than `other` [m].
         at_home: whether the other is a part of the robot at home.
     """
     out = minimum_translation(one, other)
-    cure = _move_object(world, one.name, _clear_move(world, one, other, shortest=out) if move is None else move)
+    cure = _move_object(
+        world, solids, one.name, _clear_move(world, solids, one, other, shortest=out) if move is None else move
+    )
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
     return f"{_object_name(world, one.name)} intersects {_object_name(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
-def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None) -> Floats:
+def _clear_move(
+    world: World, solids: dict[str, Solid], one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None
+) -> Floats:
     """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
 
     The part is also separated from all other objects that it is inside of. The move is the shortest separation alone if
@@ -205,12 +209,13 @@ def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shorte
 
     Args:
         world: the cell of both.
+        solids: its objects.
         one: part, post, table or a fixture.
         other: an object, or the robot.
         gap: distance to the other afterwards [m].
         shortest: (3,) the shortest separation of the two, if known [m].
     """
-    solids, around = cell_solids(world), set[str]()
+    around = set[str]()
 
     def separation() -> Floats:
         around_one = (other, *(solids[name] for name in sorted(around)))
@@ -348,13 +353,13 @@ def _housing_in_wrist(world: World, solids: dict[str, Solid]) -> list[str]:
     ]
 
 
-def _part_outside_room(world: World) -> list[str]:
+def _part_outside_room(world: World, solids: dict[str, Solid]) -> list[str]:
     T, problems = world.T_base_object, []
     lowest = float((world.part_hull.vertices @ T[2, :3]).min() + T[2, 3])
     if (depth := world.floor - lowest) > 1e-6:
         problems.append(
-            f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor:g} mm; "
-            f"{_move_object(world, 'part', np.array([0.0, 0.0, depth]))}"
+            f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor + 0.0:g} mm; "
+            f"{_move_object(world, solids, 'part', np.array([0.0, 0.0, depth]))}"
         )
     if world.table is None and world.scene.post.enabled and lowest - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
@@ -381,9 +386,9 @@ def _stationary_penetrations(world: World, solids: dict[str, Solid]) -> list[str
             around_part |= {other} if one == "part" else set()
             mover, fixed = (other, one) if one == "part" and other in on_part else (one, other)
             if mover == "part" and move_of_part is None:
-                move_of_part = _clear_move(world, solids[mover], solids[fixed])
+                move_of_part = _clear_move(world, solids, solids[mover], solids[fixed])
             move = move_of_part if mover == "part" else None
-            problems.append(_penetration(world, solids[mover], solids[fixed], move=move))
+            problems.append(_penetration(world, solids, solids[mover], solids[fixed], move=move))
     return problems
 
 
@@ -399,14 +404,14 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
         piece = min(distances, key=lambda each: distances[each], default="")
         if not piece or distances[piece] >= world.clearance - 1e-9:
             continue
-        move = _clear_move(world, solids[name], robot_solid(world, solids), world.clearance)
+        move = _clear_move(world, solids, solids[name], robot_solid(world, solids), world.clearance)
         if distances[piece] < 0 or penetrates(solids[name], solids[piece]):
-            problems.append(_penetration(world, solids[name], solids[piece], move=move, at_home=True))
+            problems.append(_penetration(world, solids, solids[name], solids[piece], move=move, at_home=True))
         else:
             problems.append(
                 f"{_object_name(world, name)} is {1000 * distances[piece]:.1f} mm from {_object_name(world, piece)} at "
-                f"home, nearer than the clearance of {1000 * world.clearance:g} mm; {_move_object(world, name, move)} "
-                "or change robot.home_deg"
+                f"home, nearer than the clearance of {1000 * world.clearance:g} mm; "
+                f"{_move_object(world, solids, name, move)} or change robot.home_deg"
             )
     return problems
 
@@ -483,7 +488,7 @@ def _fixture_penetrations(world: World, solids: dict[str, Solid]) -> list[str]:
     for number, name in enumerate(names):
         for other in (*names[:number], "pedestal"):
             if other in solids and penetrates(solids[name], solids[other]):
-                warnings.append(_penetration(world, solids[name], solids[other]))
+                warnings.append(_penetration(world, solids, solids[name], solids[other]))
         if "post" in solids and penetrates(solids["post"], solids[name]):
             warnings.append(
                 f"the post goes through {_object_name(world, name)}; set post.enabled = false if that object carries "
@@ -492,56 +497,69 @@ def _fixture_penetrations(world: World, solids: dict[str, Solid]) -> list[str]:
         if (depth := world.floor - float(solids[name].low[2])) > CONTACT_DISTANCE:
             warnings.append(
                 f"{_object_name(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
-                f"{_move_object(world, name, np.array([0.0, 0.0, depth]))}"
+                f"{_move_object(world, solids, name, np.array([0.0, 0.0, depth]))}"
             )
     return warnings
 
 
 def _unsupported_objects(world: World, solids: dict[str, Solid]) -> list[str]:
     """Describe objects that nothing supports, and objects that tip."""
+    robot = robot_bodies(world)
+    standing = {name: solid for name, solid in solids.items() if name not in robot}
     contacts = {
-        name: {other for other in solids if other != name and touches(solids[name], solids[other], CONTACT_DISTANCE)}
-        for name in solids
-    }
-    if "post" in solids:  # it holds the part wherever it touches it
+        name: {
+            other for other in standing
+            if other != name and touches(standing[name], standing[other], CONTACT_DISTANCE)
+        }
+        for name in standing
+    }  # fmt: skip
+    if "post" in standing:  # it holds the part wherever it touches it
         contacts["part"].add("post")
         contacts["post"].add("part")
-    grounded = [name for name in solids if solids[name].low[2] <= world.floor + CONTACT_DISTANCE or name == "pedestal"]
+    on_floor = world.floor + CONTACT_DISTANCE
+    grounded = [name for name, solid in standing.items() if solid.low[2] <= on_floor or name == "pedestal"]
     supported = _connected(contacts, grounded)
-    warnings, left = [], [name for name in solids if name not in supported]
+    warnings, left = [], [name for name in standing if name not in supported]
     while left:
         group = _connected(contacts, left[:1])
         left = [name for name in left if name not in group]
-        warnings.append(_unsupported_group(world, solids, group))
-    for name in solids:
+        warnings.append(_unsupported_group(world, solids, standing, group))
+    for name, solid in standing.items():
         supports = contacts[name] & _connected(contacts, grounded, without=name)
         if name in ("post", "pedestal") or name not in supported or "post" in supports:
             continue
-        below = [solids[each] for each in sorted(supports)]
-        rest = Rest(solids[name], below, world.floor)
+        below = [standing[each] for each in sorted(supports)]
+        rest = Rest(solid, below, world.floor)
         if rest.on >= supports and rest.move_to_balance() is not None:
-            move = Rest(solids[name], below, world.floor, FINE_GRID).move_to_balance()
+            move = Rest(solid, below, world.floor, FINE_GRID).move_to_balance()
             if move is not None:
                 on = ", ".join(_object_name(world, each) for each in sorted(rest.on)) or "the floor"
                 offset = 1000 * float(np.linalg.norm(move))
                 warnings.append(
                     f"the centre of mass of {_object_name(world, name)} is {offset:.1f} mm outside its "
-                    f"support ({on}); it tips unless it is fastened: {_move_object(world, name, move)}"
+                    f"support ({on}); it tips unless it is fastened: {_move_object(world, solids, name, move)}"
                 )
     return warnings
 
 
-def _unsupported_group(world: World, solids: dict[str, Solid], group: set[str]) -> str:
-    """Describe objects in contact with each other that nothing supports."""
-    others = [solid for name, solid in solids.items() if name not in group]
-    gaps = {name: Rest(solids[name], others, world.floor, FINE_GRID).gap() for name in solids if name in group}
+def _unsupported_group(world: World, solids: dict[str, Solid], standing: dict[str, Solid], group: set[str]) -> str:
+    """Describe objects in contact with each other that nothing supports.
+
+    Args:
+        world: the cell.
+        solids: its objects.
+        standing: the objects without the robot.
+        group: names of the objects in contact.
+    """
+    others = [solid for name, solid in standing.items() if name not in group]
+    gaps = {name: Rest(standing[name], others, world.floor, FINE_GRID).gap() for name in standing if name in group}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    other_names = [_object_name(world, each) for each in solids if each in group and each != name]
+    other_names = [_object_name(world, each) for each in standing if each in group and each != name]
     with_others = f" (with {', '.join(other_names)})" if other_names else ""
     return (
         f"{_object_name(world, name)}{with_others} has no support: it is {1000 * gap:.1f} mm above "
-        f"{_object_name(world, below)}; {_move_object(world, name, np.array([0.0, 0.0, -gap]))}"
+        f"{_object_name(world, below)}; {_move_object(world, solids, name, np.array([0.0, 0.0, -gap]))}"
     )
 
 
