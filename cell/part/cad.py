@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
 from cell.part import glb, open_cascade
+from cell.part.formats import UNITS
 from cell.part.mesh_checks import Finding, Kind, Severity, adjacent_faces, double_areas, is_collapsed, label_bodies
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats, Ints, Ints32, Value
@@ -152,23 +153,19 @@ class StepModel:
     findings: tuple[Finding, ...]
 
 
-def read_step(source: str, content: bytes, metres: float | None = None) -> StepModel:
+def read_step(source: str, content: bytes, units: str = "m") -> StepModel:
     """Read the solids of a STEP file.
 
     Args:
         source: its name in messages.
         content: of the file.
-        metres: metres in a unit of a file that does not state its unit.
+        units: unit of a file that does not state it, a key of `UNITS`; "m" for a file that states its unit.
 
     Raises:
         UsageError: if both the file and the caller state a unit, or neither does.
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
-    if states_unit(content):
-        if metres is not None:
-            raise UsageError(f"{source} states its own unit; omit the units")
-    elif metres is None and b"SHAPE_REPRESENTATION" in content:
-        raise UsageError(f"{source} does not state its unit; give the units: mm, cm, um or in")
+    factor = _factor_to_metres(source, content, units)
     content, n_hidden = _without_hidden_bodies(content)
     groups = _solids_and_sheets(content)
     model = _read_groups(source, groups, 1.0)
@@ -184,7 +181,21 @@ def read_step(source: str, content: bytes, metres: float | None = None) -> StepM
         bodies = "1 hidden body is" if n_hidden == 1 else f"{n_hidden} hidden bodies are"
         note = Finding(Kind.HIDDEN, f"{bodies} left out; show them in the CAD program to measure them", Severity.NOTE)
         model = replace(model, findings=(note, *model.findings))
-    return model if metres is None else _scaled(model, metres / 1e-3)  # Open CASCADE assumes millimetres
+    return model if factor == 1 else _scaled(model, factor)
+
+
+def _factor_to_metres(source: str, content: bytes, units: str) -> float:
+    """Return the factor from the lengths that Open CASCADE reads to metres: without a unit it assumes millimetres.
+
+    Raises:
+        UsageError: if both the file and the caller state a unit, or neither does.
+    """
+    if states_unit(content):
+        if units != "m":
+            raise UsageError(f"{source} states its own unit; omit the units")
+    elif units == "m" and b"SHAPE_REPRESENTATION" in content:
+        raise UsageError(f"{source} does not state its unit; give the units: mm, cm, um or in")
+    return 1.0 if units == "m" else UNITS[units] / UNITS["mm"]
 
 
 _ENTITY = re.compile(rb"#(\d+)\s*=\s*(\w+)\s*\(([^;]*)\)\s*;")
@@ -292,16 +303,17 @@ def _volume_error(source: str, groups: list[bytes], model: StepModel, scale: flo
         other = abs(float(np.einsum("fj,fj->", finer[:, 0], np.cross(finer[:, 1], finer[:, 2]))) / 6)
         return abs(other - volume) * 4 / 3 / volume
     missing = 0.0
-    for index, face in enumerate(model.cad.faces):
+    counts = np.bincount(model.cad.of_triangle, minlength=len(model.cad.faces))
+    rows_of = np.split(np.argsort(model.cad.of_triangle, kind="stable"), np.cumsum(counts)[:-1])
+    for face, rows in zip(model.cad.faces, rows_of, strict=True):
         if face.kind in (SurfaceKind.CYLINDER, SurfaceKind.SPHERE, SurfaceKind.CONE, SurfaceKind.TORUS):
-            mask = model.cad.of_triangle == index
-            triangles = model.vertices[model.faces[mask]]
+            triangles = model.vertices[model.faces[rows]]
             middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
             outside = (
-                middles + 1e-6 * (cross[mask] / np.linalg.norm(cross[mask], axis=1, keepdims=True).clip(1e-30))[:, None]
+                middles + 1e-6 * (cross[rows] / np.linalg.norm(cross[rows], axis=1, keepdims=True).clip(1e-30))[:, None]
             )
             distance, moved = face.distance(middles), face.distance(outside)
-            missing += float((areas[mask, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
+            missing += float((areas[rows, None] * np.where(moved > distance, distance, -distance)).sum() / 3)
     return abs(missing) / volume
 
 
@@ -319,19 +331,17 @@ def _scaled(model: StepModel, factor: float) -> StepModel:
     return replace(model, vertices=model.vertices * factor, cad=replace(model.cad, faces=faces))
 
 
-def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
-    """Read the surfaces of a STEP file with their colours, of the face or of its body.
-
-    Args:
-        source: its name in messages.
-        content: of the file.
+def read_coloured_step(source: str, content: bytes, units: str = "m") -> tuple[Floats, Ints, Floats]:
+    """Read the surfaces of a STEP file with their colours, of the face or of its body; arguments as of `read_step`.
 
     Returns:
         Vertices (V, 3) [m], triangles (F, 3), and red, green and blue (F, 3), 0 to 255; NaN for a face without colour.
 
     Raises:
+        UsageError: if both the file and the caller state a unit, or neither does.
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
+    factor = _factor_to_metres(source, content, units)
     try:
         # With one primitive per face; merged ones would have only the colour of their body.
         surfaces = list(glb.primitives(_triangulate(source, content, by_face=True)))
@@ -341,7 +351,7 @@ def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Float
     # sRGB (IEC 61966-2-1), as in STEP files and on screens.
     colours = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     vertices, faces, of_face = concatenate_meshes((each.vertices, each.faces) for each in surfaces)
-    return vertices, faces, colours[of_face]
+    return vertices * factor, faces, colours[of_face]
 
 
 def _triangulate(

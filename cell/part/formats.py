@@ -8,6 +8,9 @@ STEP = (".stp", ".step")
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
 """Suffixes of the files of parts."""
 
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+"""Metres per unit of a file."""
+
 _STATED = (".3mf", *STEP)  # each file names its unit
 
 

@@ -269,7 +269,10 @@ def _primitive(
     targets = _list(primitive, "targets")
     for target, weight in zip(targets, _numbers(weights, len(targets)) if weights else (), strict=False):
         if weight and "POSITION" in target:
-            vertices = vertices + weight * _accessor(described, data, target["POSITION"], np.dtype("<f4"), "VEC3")
+            moves = _accessor(described, data, target["POSITION"], np.dtype("<f4"), "VEC3")
+            if len(moves) != len(vertices):
+                raise GlbError("has a morph target with another number of vertices: export the mesh again")
+            vertices = vertices + weight * moves
     if primitive.get("indices") is None:
         corners: Ints = np.arange(len(vertices))
     else:

@@ -19,9 +19,9 @@ import numpy as np
 from cell import files
 from cell.errors import FileError
 from cell.part import cad, glb, three_mf
-from cell.part.formats import STEP, SUFFIXES
+from cell.part.formats import STEP, SUFFIXES, UNITS
 from cell.part.polygon_files import read_obj, read_off, read_ply
-from cell.part.polygons import PolygonError, PolygonMesh, triangulate
+from cell.part.polygons import PolygonError, PolygonMesh, distance_problem, triangulate
 from cell.text import decode, lines_of, parse_numbers
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
@@ -38,9 +38,6 @@ _OTHER_CONTENT = {
     b"gltf\x02": ("is a binary glTF file; name it .glb", ".glb"),
 }
 """Sentence for the first bytes of other files, and the suffixes that may have them."""
-
-MAX_COORDINATE = 1e9
-"""Largest coordinate in the unit of the file: products of three lengths are finite, also in single precision."""
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
@@ -97,6 +94,25 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         return check_mesh(str(path), *_read(path, content))
 
 
+def parse_metres(path: Path, content: bytes, units: str) -> tuple[Floats, Ints]:
+    """Return vertices (V, 3) [m] and triangles (F, 3) of a mesh file, as `parse` in the axes of the file.
+
+    Args:
+        path: for the suffix, the messages, and the files beside a .gltf.
+        content: of the file.
+        units: of the file, a key of `UNITS`; "m" for 3MF, and for a STEP file that states its unit.
+
+    Raises:
+        UsageError: if both a STEP file and the caller state a unit, or neither does.
+        FileError: as `parse`.
+    """
+    if path.suffix.lower() in STEP:
+        solids = cad.read_step(str(path), content, units)
+        return check_mesh(str(path), solids.vertices, solids.faces)
+    vertices, faces = parse(path, content)
+    return vertices * UNITS[units], faces
+
+
 def _read(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """Return vertices and triangles of a mesh file as they are."""
     suffix = path.suffix.lower()
@@ -135,9 +151,12 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
         raise FileError(f"{source} is broken: its vertices do not have three coordinates; export the mesh again")
     if not len(faces):
         raise FileError(f"{source} holds no faces; it must be a triangle mesh, not points, lines or text")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise FileError(f"{source} is broken: its faces do not have three corners; export the mesh again, as triangles")
     if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
         raise FileError(
-            f"{source} is broken: a face refers to vertex {int(faces.max())} (counted from 0), but there are "
+            f"{source} is broken: a face refers to vertex {int(wrong)} (counted from 0), but there are "
             f"{len(vertices)}; export the mesh again"
         )
     vertices, faces = _merge_vertices(vertices, faces)
@@ -147,16 +166,9 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
             f"{source} has {int(bad.sum())} vertices whose coordinates are not numbers (NaN or infinity); "
             "repair or export the mesh again"
         )
-    _require_in_range(source, vertices)
+    if problem := distance_problem(vertices):
+        raise FileError(f"{source} {problem}")
     return vertices, faces
-
-
-def _require_in_range(source: str, vertices: Floats) -> None:
-    if (largest := float(np.abs(vertices).max())) > MAX_COORDINATE:
-        raise FileError(
-            f"{source} has a coordinate of {largest:.3g}, and the limit is {MAX_COORDINATE:g} in the unit of the file; "
-            "check scales and places in it, and export the mesh again"
-        )
 
 
 def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
@@ -260,33 +272,35 @@ COLOUR_TOLERANCE = 32
 """Tolerance of red, green and blue in steps of 255: colours are blended at borders, and rounded."""
 
 
-def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
+def read_coloured(path: Path, units: str) -> tuple[TriangleMesh, Floats]:
     """Read a coloured mesh: STEP, PLY, OBJ, OFF or GLB.
 
     Args:
         path: of the file.
-        metres: metres in one unit of the file.
+        units: of the file, as of `parse_metres`.
 
     Returns:
         The mesh [m], and red, green and blue of its triangles (F, 3), 0 to 255: the mean of vertex colours; NaN for a
         CAD face without colour.
 
     Raises:
+        UsageError: if both a STEP file and the caller state a unit, or neither does.
         FileError: if it cannot be read, or has no colours.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        mesh, colours = _read_coloured(path, metres)
-    _require_in_range(str(path), mesh.vertices / metres)
+        mesh, colours = _read_coloured(path, units)
+    if problem := distance_problem(mesh.vertices / UNITS[units]):
+        raise FileError(f"{path} {problem}")
     return mesh, colours
 
 
-def _read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
-    content, suffix = read_bytes(path), path.suffix.lower()
+def _read_coloured(path: Path, units: str) -> tuple[TriangleMesh, Floats]:
+    content, suffix, metres = read_bytes(path), path.suffix.lower(), UNITS[units]
     if suffix in STEP:
-        vertices, faces, of_face = cad.read_coloured_step(str(path), content)
+        vertices, faces, of_face = cad.read_coloured_step(str(path), content, units)
         if np.isnan(of_face).all():
             raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
-        return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
+        return TriangleMesh(vertices, faces.astype(np.int32)), of_face
     if suffix not in (*_POLYGON_READERS, ".glb"):
         raise FileError(f"{path} is '{suffix}'; colours are read from STEP, PLY, OBJ, OFF and GLB")
     try:

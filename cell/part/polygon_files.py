@@ -40,24 +40,41 @@ def read_obj(content: bytes) -> PolygonMesh:
             kind = "a free-form surface" if keyword in _FREE_FORM else "a reference to another file"
             raise PolygonError(f"has {kind}, line {number + 1}, which is not supported; export all as polygons")
     of_vertices = [k for k, line in enumerate(lines) if line[:2] in _VERTEX]
-    of_faces = [k for k, line in enumerate(lines) if line[:2] in _FACE]
-    rows, widths = _table([lines[k][2:] for k in of_vertices], of_vertices)
-    if len(widths) and widths.min() < 3:
-        short = int(np.argmin(widths))
-        raise PolygonError(f"has a vertex with fewer than three coordinates, line {of_vertices[short] + 1}")
-    starts = np.cumsum(widths) - widths
-    vertices = rows[starts[:, None] + np.arange(3)] if len(starts) else np.zeros((0, 3))
+    vertices, colours = _obj_vertices([lines[k][2:] for k in of_vertices], of_vertices)
+    corners, counts = _obj_corners(lines, np.array(of_vertices, np.int64))
+    return _coloured(PolygonMesh(vertices, corners, counts), colours)
+
+
+def _obj_vertices(texts: Sequence[str], line_of: Sequence[int]) -> tuple[Floats, Floats | None]:
+    """Return coordinates (V, 3) and colours (V, 3), 0 to 255, of the vertices of an OBJ file; None without colours.
+
+    Args:
+        texts: of the vertices, without `v`.
+        line_of: index of the line of each.
+    """
+    vertices, rows, starts, widths = _vertices(texts, line_of)
     weighted = np.flatnonzero(widths == 4)
     weighted = weighted[rows[starts[weighted] + 3] != 1]
     if len(weighted):
         raise PolygonError(
-            f"has a vertex with a fourth number, line {of_vertices[weighted[0]] + 1}, a weight that is not 1, or a "
+            f"has a vertex with a fourth number, line {line_of[weighted[0]] + 1}, a weight that is not 1, or a "
             "blank in a number; export three coordinates"
         )
     colours = None
     if len(widths) and (widths >= 6).all():
         colours = rows[starts[:, None] + np.arange(3, 6)]
         colours = colours * 255 if colours.max() <= 1 else colours
+    return vertices, colours
+
+
+def _obj_corners(lines: Sequence[str], of_vertices: Ints) -> tuple[Ints, Ints]:
+    """Return vertex indices (C,), from 0, of all faces of an OBJ file, and the number of corners (P,) of each.
+
+    Args:
+        lines: of the file.
+        of_vertices: (V,) indices of the lines with a vertex.
+    """
+    of_faces = [k for k, line in enumerate(lines) if line[:2] in _FACE]
     words = [lines[k][2:] for k in of_faces]
     if any("/" in line for line in words):
         words = [re.sub(r"/\S*", "", line) for line in words]
@@ -65,17 +82,16 @@ def read_obj(content: bytes) -> PolygonMesh:
     corners = _indices(numbers)
     face_of = np.repeat(np.arange(len(counts)), counts)
     line_of = np.array(of_faces, np.int64)[face_of]
-    before = np.searchsorted(np.array(of_vertices, np.int64), line_of)
+    before = np.searchsorted(of_vertices, line_of)
     corners = np.where(corners < 0, corners + before, corners - 1)
-    bad = (corners < 0) | (corners >= len(vertices))
+    bad = (corners < 0) | (corners >= len(of_vertices))
     if bad.any():
         first = int(np.argmax(bad))
         raise PolygonError(
             f"has a face that refers to vertex {int(numbers[first])}, line {line_of[first] + 1}; indices are 1 to "
-            f"{len(vertices)}, or -1 and below back from the vertices before the face; export the mesh again"
+            f"{len(of_vertices)}, or -1 and below back from the vertices before the face; export the mesh again"
         )
-    mesh = PolygonMesh(vertices, corners, counts)
-    return mesh if colours is None else PolygonMesh(vertices, corners, counts, mesh.means(colours))
+    return corners, counts
 
 
 def _joined(lines: list[str]) -> list[str]:
@@ -130,13 +146,7 @@ def read_off(content: bytes) -> PolygonMesh:
             "export or copy it again"
         )
     of_vertices, of_faces = rows[:n_vertices], rows[n_vertices:]
-    numbers, widths = _table([lines[k] for k in of_vertices], of_vertices)
-    if len(widths) and widths.min() < 3:
-        raise PolygonError(
-            f"has a vertex with fewer than three coordinates, line {of_vertices[int(np.argmin(widths))] + 1}"
-        )
-    starts = np.cumsum(widths) - widths
-    vertices = numbers[starts[:, None] + np.arange(3)] if n_vertices else np.zeros((0, 3))
+    vertices = _vertices([lines[k] for k in of_vertices], of_vertices)[0]
     numbers, widths = _table([lines[k] for k in of_faces], of_faces)
     starts = np.cumsum(widths) - widths
     sizes = _indices(numbers[starts]) if n_faces else np.zeros(0, np.int64)
@@ -185,11 +195,16 @@ def read_ply(content: bytes) -> PolygonMesh:
     except PlyError as error:
         raise PolygonError(str(error)) from error
     mesh = PolygonMesh(vertices, corners, counts, colours)
-    of_vertices = _ply_colours(vertex)
-    in_range = len(corners) and corners.min() >= 0 and corners.max() < len(vertices) and counts.min() > 0
-    if colours is None and of_vertices is not None and in_range:
-        return PolygonMesh(vertices, corners, counts, mesh.means(of_vertices))
-    return mesh
+    return mesh if colours is not None else _coloured(mesh, _ply_colours(vertex))
+
+
+def _coloured(mesh: PolygonMesh, colours: Floats | None) -> PolygonMesh:
+    """Return a mesh with the mean colours (V, 3) of its vertices; itself without colours, or if a face is not valid."""
+    corners = mesh.corners
+    is_valid = len(corners) and corners.min() >= 0 and corners.max() < len(mesh.vertices) and mesh.counts.min() > 0
+    if colours is None or not is_valid:
+        return mesh
+    return PolygonMesh(mesh.vertices, corners, mesh.counts, mesh.means(colours))
 
 
 def _ply_colours(element: Element) -> Floats | None:
@@ -205,10 +220,7 @@ def _ply_colours(element: Element) -> Floats | None:
 def _strip_triangles(lengths: Ints, values: NDArray[Any]) -> Ints:
     """Return the triangles (F, 3) of strips; -1 ends a strip, and every second triangle has the opposite winding."""
     triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
-    row = np.repeat(np.arange(len(lengths)), lengths)
-    values = _indices(values)
-    for number in range(len(lengths)):
-        indices = values[row == number]
+    for indices in np.split(_indices(values), np.cumsum(lengths)[:-1]):
         for strip in np.split(indices, np.flatnonzero(indices == -1)):
             strip = strip[strip != -1]
             if len(strip) >= 3:
@@ -216,6 +228,21 @@ def _strip_triangles(lengths: Ints, values: NDArray[Any]) -> Ints:
                 three[1::2] = three[1::2, [1, 0, 2]]
                 triangles.append(three)
     return np.concatenate(triangles)
+
+
+def _vertices(texts: Sequence[str], line_of: Sequence[int]) -> tuple[Floats, Floats, Ints, Ints]:
+    """Return coordinates (V, 3), all numbers of the vertices, and begin and number (V,) of those of each vertex.
+
+    Raises:
+        PolygonError: with the line, if a vertex has fewer than three numbers.
+    """
+    numbers, widths = _table(texts, line_of)
+    if len(widths) and widths.min() < 3:
+        line = line_of[int(np.argmin(widths))] + 1
+        raise PolygonError(f"has a vertex with fewer than three coordinates, line {line}")
+    starts = np.cumsum(widths) - widths
+    vertices = numbers[starts[:, None] + np.arange(3)] if len(starts) else np.zeros((0, 3))
+    return vertices, numbers, starts, widths
 
 
 def _are_integers(numbers: NDArray[Any]) -> bool:

@@ -11,6 +11,9 @@ import numpy as np
 
 from planner.values import Bools, Floats, Ints
 
+MAX_COORDINATE = 1e9
+"""Largest coordinate in the unit of the file: products of three lengths are finite, also in single precision."""
+
 _FLAT = 1e-9
 """Largest negative area of a triangle of a fan, as a share of its polygon's square perimeter: rounding of a straight
 corner."""
@@ -43,17 +46,26 @@ class PolygonMesh:
     colours: Floats | None = None
 
     def means(self, values: Floats) -> Floats:
-        """Return the mean (P, K) of values (V, K) of the vertices over the corners of each polygon."""
-        starts = np.cumsum(self.counts) - self.counts
-        sums: Floats = np.add.reduceat(values[self.corners], starts, axis=0) if len(starts) else np.zeros((0, 3))
+        """Return the mean (P, K) of values (V, K) of the vertices over the corners of each of P > 0 valid polygons."""
+        sums: Floats = np.add.reduceat(values[self.corners], np.cumsum(self.counts) - self.counts, axis=0)
         return sums / self.counts[:, None]
+
+
+def distance_problem(vertices: Floats) -> str:
+    """Return why vertices (V, 3) are too far away, as a sentence after the name of their file; "" if they are not."""
+    if (largest := float(np.abs(vertices).max(initial=0.0))) <= MAX_COORDINATE:
+        return ""
+    return (
+        f"has a coordinate of {largest:.3g}, and the limit is {MAX_COORDINATE:g} in the unit of the file; "
+        "check scales and places in it, and export the mesh again"
+    )
 
 
 def triangulate(mesh: PolygonMesh) -> tuple[Ints, Ints]:
     """Return triangles (F, 3) of the polygons in their order, and the index (F,) of the polygon of each.
 
     Raises:
-        PolygonError: if a polygon has fewer than three corners, a missing vertex, or crosses itself.
+        PolygonError: if a polygon has fewer than three corners, a missing or too distant vertex, or crosses itself.
     """
     if len(mesh.counts) and mesh.counts.min() < 3:
         number = int(np.argmin(mesh.counts))
@@ -73,6 +85,8 @@ def triangulate(mesh: PolygonMesh) -> tuple[Ints, Ints]:
             f"has coordinates that are not numbers (NaN or infinity), first at vertex {vertex + 1}; repair or export "
             "the mesh again"
         )
+    if problem := distance_problem(mesh.vertices[mesh.corners]):
+        raise PolygonError(problem)
     starts = np.cumsum(mesh.counts) - mesh.counts
     triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
     owners: list[Ints] = [np.zeros(0, np.int64)]

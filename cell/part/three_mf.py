@@ -13,7 +13,7 @@ from planner.geometry.mesh import concatenate_meshes
 from planner.values import Floats, Ints
 
 MAX_MODEL = 500_000_000
-"""Largest size of the unpacked model [bytes]."""
+"""Largest size of an unpacked file of the archive [bytes]."""
 
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
@@ -24,11 +24,12 @@ _SLICER_VOLUME = re.compile(
     rb"|SupportEnforcer)"
 )  # in the settings of Bambu Studio, OrcaSlicer and PrusaSlicer
 _BROKEN = (
-    *(zipfile.BadZipFile, zlib.error, ElementTree.ParseError, KeyError, TypeError, ValueError, LookupError),
-    *(NotImplementedError, RuntimeError, EOFError, OSError),
+    *(zipfile.BadZipFile, zlib.error, ElementTree.ParseError, TypeError, ValueError, LookupError),
+    *(RuntimeError, EOFError, OSError),
 )
 _UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 _DEEPEST = 16  # components in components
+_PLACED_COST = 16  # counted for each placed object in addition to its triangles; a component has more bytes
 
 
 class ThreeMfError(ValueError):
@@ -65,6 +66,9 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
 class _Package:
     """The model parts of an archive, each parsed once.
 
+    A kilobyte of nested components can announce any number of triangles. At most as many are placed as the model parts
+    have bytes.
+
     Args:
         archive: open.
     """
@@ -72,7 +76,8 @@ class _Package:
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive
         self._roots: dict[str, ElementTree.Element] = {}
-        relations = ElementTree.fromstring(archive.read("_rels/.rels"))
+        self._room = 0  # bytes of the parsed parts, without the triangles that are placed
+        relations = ElementTree.fromstring(self._read("_rels/.rels"))
         models = [each.get("Target", "") for each in relations if each.get("Type") == _MODEL_TYPE]
         if not models:
             raise ThreeMfError("names no model in its relations; export it again")
@@ -82,7 +87,7 @@ class _Package:
         """Refuse volumes that a slicer subtracts or uses for settings: as meshes they are like any other."""
         for name in self._archive.namelist():
             if name.startswith("Metadata/") and name.endswith(".config"):
-                kind = _SLICER_VOLUME.search(self._archive.read(name))
+                kind = _SLICER_VOLUME.search(self._read(name))
                 if kind:
                     raise ThreeMfError(
                         f"has a volume of the kind '{kind[1].decode()}', which a slicer does not print as a body; "
@@ -96,17 +101,33 @@ class _Package:
             ThreeMfError: if it is too large, or requires an extension that is not supported.
         """
         if name not in self._roots:
-            if self._archive.getinfo(name).file_size > MAX_MODEL:
-                raise ThreeMfError(f"has a model of more than {MAX_MODEL / 1e6:.0f} MB; export it as binary STL")
-            content = self._archive.read(name)
+            content = self._read(name)
+            self._room += len(content)
             self._roots[name] = root = ElementTree.fromstring(content)
-            names = dict(re.findall(r"""xmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""", content.decode("utf-8", "replace")))
-            for prefix in root.get("requiredextensions", "").split():
+            required = root.get("requiredextensions", "").split()
+            text = content.decode("utf-8", "replace") if required else ""
+            names = dict(re.findall(r"""xmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""", text))
+            for prefix in required:
                 if names.get(prefix) not in (_PRODUCTION, _MATERIALS):
                     raise ThreeMfError(
                         f"requires the 3MF extension '{prefix}', which is not supported; export without it"
                     )
         return self._roots[name]
+
+    def _read(self, name: str) -> bytes:
+        if self._archive.getinfo(name).file_size > MAX_MODEL:
+            raise ThreeMfError(f"has a model of more than {MAX_MODEL / 1e6:.0f} MB; export it as binary STL")
+        return self._archive.read(name)
+
+    def place(self, count: int) -> None:
+        """Count an object that is placed with a number of triangles or vertices.
+
+        Raises:
+            ThreeMfError: if there are more than the model parts have bytes.
+        """
+        self._room -= count + _PLACED_COST
+        if self._room < 0:
+            raise ThreeMfError("expands to more triangles than it has bytes; export each body once")
 
     def object(self, name: str, number: str | None) -> ElementTree.Element:
         """Return an object of a model part."""
@@ -129,11 +150,14 @@ def _surfaces(
     if solid.get("type", "model") in ("support", "solidsupport"):
         raise ThreeMfError(f"has a support structure (object {number}); export the part without it")
     mesh = solid.find(f"{_CORE}mesh")
-    if mesh is not None:
+    if mesh is None:
+        package.place(0)
+    else:
         points = [[each.get(axis) for axis in "xyz"] for each in mesh.iterfind(f"{_CORE}vertices/{_CORE}vertex")]
         corners = [
             [each.get(f"v{k}") for k in (1, 2, 3)] for each in mesh.iterfind(f"{_CORE}triangles/{_CORE}triangle")
         ]
+        package.place(max(len(points), len(corners)))
         vertices = _numbers(points)
         faces = _numbers(corners).astype(np.int64)
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):

@@ -15,17 +15,14 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
 from cell.part import builtin
-from cell.part.cad import CadModel
-from cell.part.formats import STEP, own_units, units_problem
+from cell.part.cad import CadModel, read_step
+from cell.part.formats import STEP, UNITS, own_units, units_problem
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.rigid import translation
 from planner.values import Floats, Value, freeze
 
 __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]
-
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-"""Metres per unit of a file."""
 
 PLAUSIBLE_LENGTH_M = (0.02, 1.5)
 """Plausible longest side of a part [m]. A part of up to half a metre is shorter if a file in inches is read in
@@ -104,12 +101,9 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     units = _require_units(str(path), own_units(path.name) if units is None else units)
     sha256 = hashlib.sha256(content).hexdigest()
     if path.suffix.lower() in STEP:
-        from cell.part import cad as step
-
-        solids = step.read_step(str(path), content, None if units == "m" else UNITS[units])
-        units = "m"
+        solids = read_step(str(path), content, units)
         merged = mesh_files.check_mesh(str(path), solids.vertices, solids.faces)
-        part = from_mesh(path.stem, *merged, units, sha256, solids.cad)
+        part = from_mesh(path.stem, *merged, "m", sha256, solids.cad)
         return replace(part, findings=(*solids.findings, *part.findings))
     states_unit = own_units(path.name) is not None
     return from_mesh(path.stem, *mesh_files.parse(path, content), units, sha256, states_unit=states_unit)

@@ -34,6 +34,7 @@ from cell.plan.motion import ConnectedPlan
 from cell.plan.selection import PinnedViewError, SelectionProblem
 from cell.runs.cell import scene_of_run, with_placement
 from cell.runs.run import Run
+from cell.runs.schema import Report
 from cell.scene.model import PlanSettings, pose
 from cell.scene.settle import SettledScene
 from cell.session import Session
@@ -155,6 +156,7 @@ def edit(session: Session[None], run: Run, changes: Edit, *, T_base_object: Floa
 
 
 def _plan(session: PlanSession, settled: SettledScene, before: Run, changes: Edit, *, is_moved: bool) -> Verdict:
+    """Plan the edited views into the open run folder; `is_moved`: the part has another placement than in the run."""
     surface = pipeline.copy_surface(session, settled, before)
     viewpoints, T_scanner_view = scanners.viewpoints_of_columns(settled.scanner, before.candidates)
     if changes.drop:
@@ -163,7 +165,8 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, changes: Edi
     edited = _edited(settled, before, changes, cell, surface, (viewpoints, T_scanner_view))
     if is_moved:
         with session.stage("reach") as progress:
-            candidates = reach_viewpoints(settled, cell, viewpoints, progress)
+            moved = Viewpoints.join([viewpoints, edited.appended])
+            candidates = reach_viewpoints(settled, cell, moved, progress)
         measured = pipeline.measure_candidates(session, settled, surface, cell, candidates, may_be_empty=True)
         edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=changes.repair)
     else:
@@ -198,15 +201,19 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, changes: Edi
             "the coverage was requested for several set-ups together; their combined coverage is not known now"
         )
         return Verdict()
-    options = settled.scene.plan
+    return _judge(report, plan, settled.scene.plan, is_repaired=changes.repair)
+
+
+def _judge(report: Report, plan: ConnectedPlan, options: PlanSettings, *, is_repaired: bool) -> Verdict:
+    """Judge an edited plan; a repair also has to restore a coverage of 1 of the samples of the matrix."""
     has_target = options.max_views is None and options.multiplicity == 1
     has_target &= options.pose_sd_mm == options.pose_sd_deg == 0
     remedy = _REPAIR
-    if changes.repair:
+    if is_repaired:
         remedy = "plan again, or edit with a smaller --dropped-range" if options.banned else "plan again"
     verdict = judge_plan(report, (remedy, remedy), has_target=has_target)
     share = plan.cover.covered_area / plan.cover.coverable_area
-    if changes.repair and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
+    if is_repaired and has_target and report.regions is None and options.coverage >= 1 > share + _ROUNDING:
         sentence = f"the plan measures {100 * share:.2f} % of the coverable samples, less than the requested 100 %: "
         return Verdict((sentence + remedy, *verdict.missed))
     return verdict

@@ -7,10 +7,10 @@ and its lower bound stay those of the cover. A coverage below 1 must also hold o
 not see: there the swapped views are evaluated on them, with less freedom if they fall short or lose more than a little;
 then the original views that lose most are restored. The samples that the selection had to cover stay covered.
 
+**Covers.** If time is minimised, whole covers are searched and ordered in turns as well (`_least_time_cover`).
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,16 +24,12 @@ from planner.tour.generalised_tsp import MANY_CLUSTERS
 from planner.tour.tour import Tour
 from planner.tour.view_times import insertion_times
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.viewpoints import Viewpoints
 
 log = logging.getLogger(__name__)
 
 _MAX_LOSS = 0.0002  # share of the coverable area that a shorter motion may cost, if the requested coverage allows it
 _ROUNDING = 1e-9  # of areas that are summed in another order
 _MAX_COVERS = 8  # covers tried if time is minimised; two to five are usual
-
-Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
-"""Append viewpoints to the candidates of a problem."""
 
 Swapped = tuple[ViewExchange, tuple[Ints, ...]]
 """A swap of a cover's views, and the groups of candidates that the evaluation on held-out samples leaves."""

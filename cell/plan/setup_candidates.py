@@ -34,7 +34,8 @@ from cell.scene.model import Placement, Post, Scene
 from cell.scene.model import Setup as SetupTable
 from cell.scene.settle import SettledScene
 from cell.session import Stream
-from cell.world.checks import find_problems, support_margin
+from cell.world.balance import support_margin
+from cell.world.checks import find_problems
 from cell.world.measurability import PartSurface, surface_samples
 from cell.world.model import ON_AXIS, World, compile_settled
 from cell.world.occluders import Occluder, fixed_occluders
@@ -182,7 +183,7 @@ def _placement(world: World, R: Floats) -> Placement:
     """Return the placement at a rotation, with the lowest point at its height in the scene, in rounded numbers."""
     T = np.array(world.T_base_object @ world.T_object_centre)
     corners = world.part_hull.vertices - world.T_object_centre[:3, 3]
-    T[2, 3] = world.post_top(world.T_base_object)[2] - (corners @ R[2]).min()
+    T[2, 3] = world.T_base_post(world.T_base_object)[2, 3] - (corners @ R[2]).min()
     T[:3, :3] = R
     position, abc = kuka_abc_from_pose(T)
     return Placement(

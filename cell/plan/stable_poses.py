@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cell.scene.model import Post
-from cell.world.checks import centre_of_mass, hull_margin
+from cell.world.balance import centre_of_mass, hull_margin
 from cell.world.solids import Solid
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
@@ -102,6 +102,10 @@ def _rim(triangles: Floats, radius: float) -> Floats:
     angles = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
     rim = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     edges = np.roll(triangles, -1, axis=1) - triangles
+    # Of a fine mesh few triangles meet the circle: no point of one is farther from a corner than its longest edge.
+    distance, longest = np.linalg.norm(triangles, axis=2), np.linalg.norm(edges, axis=2).max(axis=1)
+    is_near = (distance.max(axis=1) >= radius - _CONTACT) & (distance.min(axis=1) <= radius + longest + _CONTACT)
+    triangles, edges = triangles[is_near], edges[is_near]
     to_rim = rim[:, None, None] - triangles
     turns = edges[..., 0] * to_rim[..., 1] - edges[..., 1] * to_rim[..., 0]
     is_inside = (turns >= 0).all(axis=2) | (turns <= 0).all(axis=2)

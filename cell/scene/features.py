@@ -18,6 +18,10 @@ LIMITED = ("size", "distance", "angle")
 """Kinds with limits on either side of a nominal value; the others have one tolerance, the width of a zone."""
 
 
+_RELATED = ("parallelism", "perpendicularity", "angularity", "coaxiality", "runout", "total-runout")
+"""Kinds that refer to a datum."""
+
+
 class CharacteristicTable(Table):
     """A characteristic of a feature with its tolerance.
 
@@ -47,8 +51,7 @@ class CharacteristicTable(Table):
             raise ValueError(f".lower, upper and nominal are not keys of kind '{self.kind}'; give tolerance_mm")
         if self.lower is not None and self.upper is not None and not self.lower < self.upper:
             raise ValueError(f".lower is {self.lower:g}; it must be below upper, {self.upper:g}")
-        needs_datum = self.kind in ("parallelism", "perpendicularity", "angularity", "coaxiality", "runout")
-        if not self.datums and (needs_datum or self.kind == "total-runout"):
+        if not self.datums and self.kind in _RELATED:
             raise ValueError(f".datums is missing; {self.kind} refers to a datum")
         if self.kind == "distance" and self.to is None:
             raise ValueError(".to is missing; a distance needs the name of another feature")

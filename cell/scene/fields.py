@@ -57,13 +57,29 @@ def _largest_number(value: Any) -> float:
     return max(map(_largest_number, value), default=0.0) if isinstance(value, tuple) else 0.0
 
 
-def existing_file(path: str, info: ValidationInfo, kind: str = "a mesh file") -> str:
-    """Return the absolute path of a file that a scene names relative to its own folder."""
+def full_path(path: str, info: ValidationInfo) -> Path:
+    """Return the absolute path of a file or folder that a scene names relative to its own folder.
+
+    Raises:
+        ValueError: if it is below the home folder of an unknown user.
+    """
     folder = Path((info.context or {}).get("folder", Path.cwd()))
     try:
-        full = folder / Path(path).expanduser()
+        return folder / Path(path).expanduser()
+    except RuntimeError:
+        raise ValueError(f"names '{path}', below the home folder of an unknown user; give another path") from None
+
+
+def existing_file(path: str, info: ValidationInfo, kind: str = "a mesh file") -> str:
+    """Return the absolute path of an existing file that a scene names relative to its own folder.
+
+    Raises:
+        ValueError: if there is no such file, or the name is not valid.
+    """
+    try:
+        full = full_path(path, info)
         exists = full.is_file()
-    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, the home folder of an unknown user
+    except (OSError, ValueError):  # too long, a zero byte, an unknown user
         raise ValueError(f"is no valid file name; give {kind}, relative to the scene file") from None
     if not exists:
         raise ValueError(f"is '{path}', and there is no file {full}; give {kind}, relative to the scene file")

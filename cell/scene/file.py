@@ -112,7 +112,8 @@ def _part_table(name_or_path: str) -> dict[str, object]:
                 f"there is no built-in part and no file {name_or_path}; {hint}Built in are {', '.join(BUILT_IN)}"
             )
         raise FileError(
-            f"there is no file {name_or_path}; give the path of a mesh (STL, OBJ, PLY, OFF, GLB, glTF or 3MF)"
+            f"there is no file {name_or_path}; give the path of a mesh (STL, OBJ, PLY, OFF, GLB, glTF, 3MF) or of a "
+            "STEP file"
         )
     return {"path": str(path.absolute()), "units": None}
 

@@ -12,9 +12,9 @@ sensor of the library sets its type and its known figures; keys of the scene tak
 A face of the part belongs to the first `[[region]]` that selects it. A region without selectors is the rest.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     BeforeValidator,
@@ -46,6 +46,7 @@ from cell.scene.fields import (
     Triple,
     Units,
     existing_file,
+    full_path,
 )
 from cell.scene.options import Option
 from cell.scene.validation import did_you_mean
@@ -257,6 +258,13 @@ class MeshFixture(NamedFixture):
     def _found(cls, path: str, info: ValidationInfo) -> str:
         return existing_file(path, info)
 
+    @field_validator("units")
+    @classmethod
+    def _given_for_a_file_without(cls, units: str, info: ValidationInfo) -> str:
+        if why := units_problem(path := info.data.get("path", ""), units):
+            raise ValueError(f"is given for {path}, which {why}")
+        return units
+
 
 Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
 
@@ -282,8 +290,8 @@ class Turntable(Table):
 
     `position_mm` is the middle of its face, `abc_deg` the orientation of its frame, 0 for an upright axis. Without a
     position the axis goes through the part's centre, and the face is `post_mm` below the part's lowest point along the
-    axis; with one, the post is as long as the part is above the face. A `[table]` of the scene file is enabled unless
-    it says `enabled = false`. Without limits it is endless, and used half a turn to either side of 0, where motions
+    axis; with one, the post is as long as the part is above the face. A `[table]` with any key is enabled unless it
+    says `enabled = false`. Without limits it is endless, and used half a turn to either side of 0, where motions
     begin and end. It moves together with the arm; an indexed table turns only while the arm is still and clear of
     everything that turns.
     """
@@ -356,8 +364,7 @@ class Robot(Table):
     @field_validator("packages")
     @classmethod
     def _folders(cls, packages: dict[str, str] | None, info: ValidationInfo) -> dict[str, str] | None:
-        folder = Path((info.context or {}).get("folder", Path.cwd()))
-        return packages and {name: str(folder / Path(path).expanduser()) for name, path in packages.items()}
+        return packages and {name: str(full_path(path, info)) for name, path in packages.items()}
 
     _name: str = PrivateAttr("")
 
@@ -647,12 +654,7 @@ class Region(RegionTargets):
     @field_validator("painted")
     @classmethod
     def _found(cls, painted: str | None, info: ValidationInfo) -> str | None:
-        if painted is None:
-            return None
-        path = Path((info.context or {}).get("folder", Path.cwd())) / Path(painted).expanduser()
-        if not path.is_file():
-            raise ValueError(f"is '{painted}', and there is no file {path}; give a coloured mesh")
-        return str(path)
+        return None if painted is None else existing_file(painted, info, "a coloured mesh")
 
     @model_validator(mode="after")
     def _consistent(self) -> "Region":
@@ -721,38 +723,6 @@ def with_rest(regions: Sequence[Region]) -> tuple[Region, ...]:
 _COMMON_SCANNER_KEYS = ("type", "sensor")
 _RAY_GRID_KEY = "planning_resolution_deg"
 """Replaces `resolution_deg` if the matrix is filled by scanning: a key of every type with a resolution."""
-
-T = TypeVar("T")
-
-
-def _validated_scanner(table: Any, validate: Callable[[Any], T], default_type: str) -> T:
-    """Check the keys of a `[scanner]` table, fill in its sensor, and validate it.
-
-    Args:
-        table: from the scene.
-        validate: validates the table without its foreign keys.
-        default_type: type of a table without one.
-
-    Raises:
-        ValidationError: with all problems at once.
-    """
-    from cell import scanners  # loads numpy
-
-    if not isinstance(table, dict):
-        return validate(table)
-    content = {key: value for key, value in table.items() if value is not None}
-    problems = _fill_in_sensor(content)
-    kind = content.get("type", default_type)
-    if kind in scanners.names():
-        problems += _remove_foreign_keys(content, kind)
-    result: T | None = None
-    try:
-        result = validate(content)
-    except ValidationError as error:
-        problems += [_reraisable(detail) for detail in error.errors()]
-    if problems or result is None:
-        raise ValidationError.from_exception_data("Scanner", problems)
-    return result
 
 
 def scanner_keys(kind: str) -> tuple[str, ...] | None:
@@ -857,8 +827,24 @@ class Scanner(Table):
     @model_validator(mode="wrap")
     @classmethod
     def _keys_of_its_type(cls, table: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Fill in the sensor, and report unknown keys together with the other problems."""
+        from cell import scanners  # loads numpy
 
-        return _validated_scanner(table, handler, cls.model_fields["type"].default)
+        if not isinstance(table, dict):
+            return handler(table)
+        content = {key: value for key, value in table.items() if value is not None}
+        problems = _fill_in_sensor(content)
+        kind = content.get("type", cls.model_fields["type"].default)
+        if kind in scanners.names():
+            problems += _remove_foreign_keys(content, kind)
+        result: Self | None = None
+        try:
+            result = handler(content)
+        except ValidationError as error:
+            problems += [_reraisable(detail) for detail in error.errors()]
+        if problems or result is None:
+            raise ValidationError.from_exception_data("Scanner", problems)
+        return result
 
     @field_validator("type")
     @classmethod
@@ -1046,9 +1032,9 @@ class Scene(Table):
                 raise ValueError(f"'{setup.name}' has the fixture '{twice[0]}' more than once; each needs its own name")
             for other in setups[:number]:
                 if other.name == setup.name:
-                    raise ValueError(f" has the name '{setup.name}' more than once; each set-up needs its own")
+                    raise ValueError(f"has the name '{setup.name}' more than once; each set-up needs its own")
                 if other.model_copy(update={"name": setup.name}) == setup:
-                    raise ValueError(f"s '{other.name}' and '{setup.name}' are equal; omit one of them")
+                    raise ValueError(f"'{other.name}' and '{setup.name}' are equal; omit one of them")
         return setups
 
     @field_validator("picture")

@@ -15,7 +15,7 @@ from cell.errors import SceneError
 from cell.part import mesh_files
 from cell.part.cad import CadModel
 from cell.part.formats import own_units
-from cell.part.workpiece import UNITS, Workpiece
+from cell.part.workpiece import Workpiece
 from cell.scene.model import Region, RegionTargets, Scene, with_rest
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import split_long_edges
@@ -139,7 +139,7 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
         )
     units = (scene.part.units if region.painted is None else region.painted_units) or own_units(source)
     assert units is not None, "the scene requires units"
-    canvas, colours = mesh_files.read_coloured(Path(source), UNITS[units])
+    canvas, colours = mesh_files.read_coloured(Path(source), units)
     return mesh_files.is_colour(colours, colour)[closest_facing_faces(mesh.centres, mesh.normals, canvas)]
 
 

@@ -28,7 +28,8 @@ _DEVICE_OF_BUILT_IN = {  # by the standoffs of the paper's objects
     **{"mseke": LARGE, "mug": MEDIUM, "robinet": MEDIUM},
     **{"petanque": LARGE, "humerus": SMALL, "st-jean": LARGE},
 }
-_BY_SIDE = ((30.0, SMALL), (100.0, MEDIUM))  # longest side up to the middle of the device's range [mm]; else the large
+_BY_SIDE = ((30.0, SMALL), (100.0, MEDIUM))
+"""Largest longest side of a part [mm] for which a device is the default, the middle of its range; above: `LARGE`."""
 
 # Planning faces of the built-in parts are the paper's (Tables 1 and 2); a change needs a line in CHANGELOG.md.
 _FACES_OF_BUILT_IN = {"mseke": 930, "mug": 748, "robinet": 814, "petanque": 338, "humerus": 276, "st-jean": 746}
@@ -141,7 +142,31 @@ def _settings(scene: Scene, part: Workpiece) -> Settings:
     """Compute the planning parameters of a settled scene.
 
     Raises:
-        SceneError: if a standoff is outside the scanner's range, or the clearance too small to plan a motion with.
+        SceneError: as `_require_possible`.
+    """
+    assert scene.scanner.range_mm is not None, "the scene is not settled"
+    near, far = scene.scanner.range_mm
+    standoffs_mm = tuple(dict.fromkeys(scene.plan.standoffs_mm or ((near + far) / 2,)))
+    _require_possible(scene, standoffs_mm, (near, far))
+    scanner = _plugin_values(scene)
+    planning_step = scene.scanner.planning_resolution_deg
+    coarser = {"resolution_deg": (planning_step, planning_step)} if "resolution_deg" in scanner else {}
+    return Settings(
+        faces=_planning_faces(scene, part),
+        standoffs=tuple(standoff / 1000 for standoff in standoffs_mm),
+        rolls=tuple(np.deg2rad(_distinct_rolls(scene.plan.rolls_deg)).tolist()),
+        scanner=scanner,
+        planning_scanner={**scanner, **coarser},
+        sphere_radius=max(*standoffs_mm, 1000 * enclosing_radius(part.reference, part.centre) + near) / 1000,
+    )
+
+
+def _require_possible(scene: Scene, standoffs_mm: tuple[float, ...], range_mm: tuple[float, float]) -> None:
+    """Refuse lengths of a settled scene that contradict each other.
+
+    Raises:
+        SceneError: if a standoff is outside the scanner's range, a tolerance too large for the clearance, the clearance
+            too small to plan a motion with, or a spacing limited that the fill method does not know.
     """
     if scene.clearance_mm < _MIN_CLEARANCE_MM:
         raise SceneError(
@@ -163,9 +188,7 @@ def _settings(scene: Scene, part: Workpiece) -> Settings:
             "scanner.max_spacing_mm limits the spacing of a scan's rays, and plan.fill = 'rays' casts its own rays; "
             "choose plan.fill = 'aimed'"
         )
-    assert scene.scanner.range_mm is not None, "the scene is not settled"
-    near, far = scene.scanner.range_mm
-    standoffs_mm = tuple(dict.fromkeys(scene.plan.standoffs_mm or ((near + far) / 2,)))
+    near, far = range_mm
     for standoff in standoffs_mm:
         if not near <= standoff <= far:
             raise SceneError(
@@ -173,17 +196,6 @@ def _settings(scene: Scene, part: Workpiece) -> Settings:
                 "standoff inside it, or a scanner with a suitable range (cell sensors; the range of 'paper' follows "
                 "the standoff)"
             )
-    scanner = _plugin_values(scene)
-    planning_step = scene.scanner.planning_resolution_deg
-    coarser = {"resolution_deg": (planning_step, planning_step)} if "resolution_deg" in scanner else {}
-    return Settings(
-        faces=_planning_faces(scene, part),
-        standoffs=tuple(standoff / 1000 for standoff in standoffs_mm),
-        rolls=tuple(np.deg2rad(_distinct_rolls(scene.plan.rolls_deg)).tolist()),
-        scanner=scanner,
-        planning_scanner={**scanner, **coarser},
-        sphere_radius=max(*standoffs_mm, 1000 * enclosing_radius(part.reference, part.centre) + near) / 1000,
-    )
 
 
 def require_attainable(scene: Scene, scanner: Scanner) -> None:
@@ -214,8 +226,7 @@ def notes(scene: Scene, part: Workpiece) -> list[str]:
         scene: before it is settled.
         part: the part.
     """
-    grazing = grazing_note(getattr(scene.scanner, "grazing_max_deg", None))
-    return [note for note in (grazing, _device_note(scene, part)) if note]
+    return [note for note in (grazing_note(scene.scanner.grazing_max_deg), _device_note(scene, part)) if note]
 
 
 def longest_side_mm(part: Workpiece) -> float:

@@ -170,9 +170,9 @@ def _toml(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def grazing_note(limit_deg: float | None) -> str:
-    """Describe a grazing limit above `STEEPEST_GRAZING_DEG`; "" for a good limit or none."""
-    if limit_deg is None or limit_deg <= STEEPEST_GRAZING_DEG:
+def grazing_note(limit_deg: float) -> str:
+    """Describe a grazing limit above `STEEPEST_GRAZING_DEG`; "" for a good limit."""
+    if limit_deg <= STEEPEST_GRAZING_DEG:
         return ""
     return (
         f"scanner.grazing_max_deg is {limit_deg:g}: surface at more than {STEEPEST_GRAZING_DEG:g} deg to the rays "

@@ -8,7 +8,7 @@ motions): the robot at home, the part at its placement, true triangles of both. 
 **Warnings** (`find_warnings`) are possible but probably not meant: fixtures inside each other, unsupported or tipping
 objects, wrong units. An object is supported if a chain of objects in contact leads to floor or pedestal; the part on
 its post is. An object rests if all its supports touch it from below; then its centre of mass (of uniform density, or of
-an open surface) has to be above them. Vertical rays find the contacts.
+an open surface) has to be above them (`cell.world.balance`).
 
 Messages name both objects, the depth, and the smallest move that removes the problem, ready to be typed.
 `cell check` (`check_scene`) reports all of this with the numbers of the cell.
@@ -23,17 +23,18 @@ from numpy.typing import NDArray
 from cell.errors import SceneError
 from cell.formatting import comma_list
 from cell.part import workpiece
+from cell.part.formats import own_units
 from cell.part.workpiece import size_findings
 from cell.robot.arm import wrist_in_flange, wrist_positions
 from cell.robot.model import AXES, model_warnings
 from cell.scene.model import MeshFixture, Scene
 from cell.scene.regions import region_areas, with_regions
-from cell.scene.settle import SettledScene, settle
+from cell.scene.settle import Settings, SettledScene, settle
 from cell.world import shapes as cell_shapes
+from cell.world.balance import CONTACT_DISTANCE, FINE_GRID, Rest
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
-from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_settled
-from cell.world.occluders import Occluder, box_triangles, floor_triangles, geom_triangles, make_caster
+from cell.world.occluders import Occluder, box_triangles, geom_triangles, make_caster
 from cell.world.shapes import TABLE
 from cell.world.solids import (
     BUILT_IN_OBSTACLES,
@@ -53,8 +54,6 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
-CONTACT_DISTANCE = 1e-3
-"""Objects that are nearer than this are in contact [m]: a plan of a cell is hardly more precise."""
 
 _ROUNDING = 0.02  # of a tenth of a millimetre: rounding of coordinates does not enlarge a move by a tenth
 
@@ -66,9 +65,6 @@ _STEPS, _HALVINGS = 24, 12
 _DETOURS = 4  # objects, one after the other, that a move out of another object avoids
 
 _STATIONARY = ("base", "pedestal")
-
-_GRID = 64  # vertical rays across the longer side of an object ...
-_FINE_GRID = 512  # ... if a message states a length
 
 _ENVELOPE_STEP_DEG = 0.5  # of A2 and A3: the outline of the wrist positions is then exact to 0.1 mm
 _FIDELITY = {"hull": "its convex hull (hull)", "exact": "its triangles (exact)"}
@@ -94,7 +90,7 @@ def find_problems(world: World) -> list[str]:
         *_home_outside_limits(world),
         *_occluded_field_of_view(world),
         *_housing_in_wrist(world, solids),
-        *_part_outside_room(world),
+        *_part_outside_room(world, solids),
         *_stationary_penetrations(world, solids),
         *_objects_near_arm(world, solids),
         *_arm_near_cell(world),
@@ -107,11 +103,12 @@ def find_warnings(world: World) -> list[str]:
     fixtures, warnings = world.scene.fixtures, [*model_warnings(world.spec), *_limited_table(world)]
     if not fixtures and world.scene.post.enabled:
         return warnings
-    solids = {name: solid for name, solid in cell_solids(world).items() if name not in robot_bodies(world)}
+    solids = cell_solids(world)
     for fixture in fixtures:
         if isinstance(fixture, MeshFixture):
             size = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
-            findings = size_findings(size, fixture.units, _object_name(world, fixture.name))
+            units = None if fixture.units == own_units(fixture.path) else fixture.units
+            findings = size_findings(size, units, _object_name(world, fixture.name))
             warnings += [finding.sentence for finding in findings]
     return warnings + _fixture_penetrations(world, solids) + _unsupported_objects(world, solids)
 
@@ -123,7 +120,7 @@ def _object_name(world: World, name: str) -> str:
     return f"the {name}" if name in ("part", TABLE, *BUILT_IN_OBSTACLES) else f"the fixture '{name}'"
 
 
-def _move_object(world: World, name: str, move: Floats) -> str:
+def _move_object(world: World, solids: dict[str, Solid], name: str, move: Floats) -> str:
     """Return the instruction that moves part, post, table or a fixture by (3,) [m], base frame."""
     length = float(np.linalg.norm(move))
     tenths = np.ceil(length * 1e4 - _ROUNDING) / 1e4
@@ -138,13 +135,9 @@ def _move_object(world: World, name: str, move: Floats) -> str:
         key, position, step = f"fixtures[{index}].position_mm", fixtures[index].T[:3, 3], move
         if fixtures[index].attached_to == "object":
             step = world.T_base_object[:3, :3].T @ move
-    if hit := _hit_by_move(world, cell_solids(world), name, move):
+    if hit := _hit_by_move(world, solids, name, move):
         return f"change {key}: the shortest move would bring it into {_object_name(world, hit[0])}"
     return _move_key(key, position, step)
-
-
-def _moved(solid: Solid, move: Floats) -> Solid:
-    return Solid(solid.name, solid.vertices + move, solid.faces, solid.axes)
 
 
 def _hit_by_move(world: World, solids: dict[str, Solid], name: str, move: Floats) -> list[str]:
@@ -158,7 +151,7 @@ def _hit_by_move(world: World, solids: dict[str, Solid], name: str, move: Floats
     moving = with_part if name in ("part", "post") else {name}
     arm, hit = [each for each in robot_bodies(world) if each not in _STATIONARY], dict[str, None]()
     for mover in sorted(moving & solids.keys()):
-        there, here = _moved(solids[mover], move), solids[mover]
+        there, here = solids[mover].with_vertices(solids[mover].vertices + move), solids[mover]
         for other in solids.keys() - moving:
             if other in arm:
                 is_new = touches(there, solids[other], world.clearance) and not touches(
@@ -183,24 +176,32 @@ def _triple(values: Floats) -> str:
     return f"({', '.join(f'{value:.7g}' for value in np.round(values, 3) + 0.0)})"
 
 
-def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None = None, at_home: bool = False) -> str:
+def _penetration(
+    world: World, solids: dict[str, Solid], one: Solid, other: Solid, *, move: Floats | None = None,
+    at_home: bool = False,
+) -> str:  # fmt: skip
     """Describe a movable object inside another one.
 
     Args:
         world: the cell of both.
+        solids: its objects.
         one: part, post, table or a fixture.
         other: any object.
         move: (3,) of `one` that separates it from more than `other` [m].
         at_home: whether the other is a part of the robot at home.
     """
     out = minimum_translation(one, other)
-    cure = _move_object(world, one.name, _clear_move(world, one, other, shortest=out) if move is None else move)
+    cure = _move_object(
+        world, solids, one.name, _clear_move(world, solids, one, other, shortest=out) if move is None else move
+    )
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
     return f"{_object_name(world, one.name)} intersects {_object_name(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
-def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None) -> Floats:
+def _clear_move(
+    world: World, solids: dict[str, Solid], one: Solid, other: Solid, gap: float = 0.0, shortest: Floats | None = None
+) -> Floats:
     """Return the shortest move (3,) [m] found that separates one from other and from what it would hit on the way out.
 
     The part is also separated from all other objects that it is inside of. The move is the shortest separation alone if
@@ -208,12 +209,13 @@ def _clear_move(world: World, one: Solid, other: Solid, gap: float = 0.0, shorte
 
     Args:
         world: the cell of both.
+        solids: its objects.
         one: part, post, table or a fixture.
         other: an object, or the robot.
         gap: distance to the other afterwards [m].
         shortest: (3,) the shortest separation of the two, if known [m].
     """
-    solids, around = cell_solids(world), set[str]()
+    around = set[str]()
 
     def separation() -> Floats:
         around_one = (other, *(solids[name] for name in sorted(around)))
@@ -335,6 +337,8 @@ def _wrist_occlusion(world: World) -> float:
 
 def _housing_in_wrist(world: World, solids: dict[str, Solid]) -> list[str]:
     """Check the housing with the flange: one rigid body, whose shapes no motion check compares."""
+    if "link_6" not in solids:  # of an arm from a file, without shape
+        return []
     flange, last = world.data().site("flange"), solids["link_6"]
     R = flange.xmat.reshape(3, 3)
     in_flange = (last.vertices - flange.xpos) @ R
@@ -349,13 +353,13 @@ def _housing_in_wrist(world: World, solids: dict[str, Solid]) -> list[str]:
     ]
 
 
-def _part_outside_room(world: World) -> list[str]:
+def _part_outside_room(world: World, solids: dict[str, Solid]) -> list[str]:
     T, problems = world.T_base_object, []
     lowest = float((world.part_hull.vertices @ T[2, :3]).min() + T[2, 3])
     if (depth := world.floor - lowest) > 1e-6:
         problems.append(
-            f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor:g} mm; "
-            f"{_move_object(world, 'part', np.array([0.0, 0.0, depth]))}"
+            f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor + 0.0:g} mm; "
+            f"{_move_object(world, solids, 'part', np.array([0.0, 0.0, depth]))}"
         )
     if world.table is None and world.scene.post.enabled and lowest - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
@@ -382,9 +386,9 @@ def _stationary_penetrations(world: World, solids: dict[str, Solid]) -> list[str
             around_part |= {other} if one == "part" else set()
             mover, fixed = (other, one) if one == "part" and other in on_part else (one, other)
             if mover == "part" and move_of_part is None:
-                move_of_part = _clear_move(world, solids[mover], solids[fixed])
+                move_of_part = _clear_move(world, solids, solids[mover], solids[fixed])
             move = move_of_part if mover == "part" else None
-            problems.append(_penetration(world, solids[mover], solids[fixed], move=move))
+            problems.append(_penetration(world, solids, solids[mover], solids[fixed], move=move))
     return problems
 
 
@@ -400,14 +404,14 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
         piece = min(distances, key=lambda each: distances[each], default="")
         if not piece or distances[piece] >= world.clearance - 1e-9:
             continue
-        move = _clear_move(world, solids[name], robot_solid(world, solids), world.clearance)
+        move = _clear_move(world, solids, solids[name], robot_solid(world, solids), world.clearance)
         if distances[piece] < 0 or penetrates(solids[name], solids[piece]):
-            problems.append(_penetration(world, solids[name], solids[piece], move=move, at_home=True))
+            problems.append(_penetration(world, solids, solids[name], solids[piece], move=move, at_home=True))
         else:
             problems.append(
                 f"{_object_name(world, name)} is {1000 * distances[piece]:.1f} mm from {_object_name(world, piece)} at "
-                f"home, nearer than the clearance of {1000 * world.clearance:g} mm; {_move_object(world, name, move)} "
-                "or change robot.home_deg"
+                f"home, nearer than the clearance of {1000 * world.clearance:g} mm; "
+                f"{_move_object(world, solids, name, move)} or change robot.home_deg"
             )
     return problems
 
@@ -484,7 +488,7 @@ def _fixture_penetrations(world: World, solids: dict[str, Solid]) -> list[str]:
     for number, name in enumerate(names):
         for other in (*names[:number], "pedestal"):
             if other in solids and penetrates(solids[name], solids[other]):
-                warnings.append(_penetration(world, solids[name], solids[other]))
+                warnings.append(_penetration(world, solids, solids[name], solids[other]))
         if "post" in solids and penetrates(solids["post"], solids[name]):
             warnings.append(
                 f"the post goes through {_object_name(world, name)}; set post.enabled = false if that object carries "
@@ -493,56 +497,69 @@ def _fixture_penetrations(world: World, solids: dict[str, Solid]) -> list[str]:
         if (depth := world.floor - float(solids[name].low[2])) > CONTACT_DISTANCE:
             warnings.append(
                 f"{_object_name(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
-                f"{_move_object(world, name, np.array([0.0, 0.0, depth]))}"
+                f"{_move_object(world, solids, name, np.array([0.0, 0.0, depth]))}"
             )
     return warnings
 
 
 def _unsupported_objects(world: World, solids: dict[str, Solid]) -> list[str]:
     """Describe objects that nothing supports, and objects that tip."""
+    robot = robot_bodies(world)
+    standing = {name: solid for name, solid in solids.items() if name not in robot}
     contacts = {
-        name: {other for other in solids if other != name and touches(solids[name], solids[other], CONTACT_DISTANCE)}
-        for name in solids
-    }
-    if "post" in solids:  # it holds the part wherever it touches it
+        name: {
+            other for other in standing
+            if other != name and touches(standing[name], standing[other], CONTACT_DISTANCE)
+        }
+        for name in standing
+    }  # fmt: skip
+    if "post" in standing:  # it holds the part wherever it touches it
         contacts["part"].add("post")
         contacts["post"].add("part")
-    grounded = [name for name in solids if solids[name].low[2] <= world.floor + CONTACT_DISTANCE or name == "pedestal"]
+    on_floor = world.floor + CONTACT_DISTANCE
+    grounded = [name for name, solid in standing.items() if solid.low[2] <= on_floor or name == "pedestal"]
     supported = _connected(contacts, grounded)
-    warnings, left = [], [name for name in solids if name not in supported]
+    warnings, left = [], [name for name in standing if name not in supported]
     while left:
         group = _connected(contacts, left[:1])
         left = [name for name in left if name not in group]
-        warnings.append(_unsupported_group(world, solids, group))
-    for name in solids:
+        warnings.append(_unsupported_group(world, solids, standing, group))
+    for name, solid in standing.items():
         supports = contacts[name] & _connected(contacts, grounded, without=name)
         if name in ("post", "pedestal") or name not in supported or "post" in supports:
             continue
-        below = [solids[each] for each in sorted(supports)]
-        rest = _Rest(solids[name], below, world.floor)
+        below = [standing[each] for each in sorted(supports)]
+        rest = Rest(solid, below, world.floor)
         if rest.on >= supports and rest.move_to_balance() is not None:
-            move = _Rest(solids[name], below, world.floor, _FINE_GRID).move_to_balance()
+            move = Rest(solid, below, world.floor, FINE_GRID).move_to_balance()
             if move is not None:
                 on = ", ".join(_object_name(world, each) for each in sorted(rest.on)) or "the floor"
                 offset = 1000 * float(np.linalg.norm(move))
                 warnings.append(
                     f"the centre of mass of {_object_name(world, name)} is {offset:.1f} mm outside its "
-                    f"support ({on}); it tips unless it is fastened: {_move_object(world, name, move)}"
+                    f"support ({on}); it tips unless it is fastened: {_move_object(world, solids, name, move)}"
                 )
     return warnings
 
 
-def _unsupported_group(world: World, solids: dict[str, Solid], group: set[str]) -> str:
-    """Describe objects in contact with each other that nothing supports."""
-    others = [solid for name, solid in solids.items() if name not in group]
-    gaps = {name: _Rest(solids[name], others, world.floor, _FINE_GRID).gap() for name in solids if name in group}
+def _unsupported_group(world: World, solids: dict[str, Solid], standing: dict[str, Solid], group: set[str]) -> str:
+    """Describe objects in contact with each other that nothing supports.
+
+    Args:
+        world: the cell.
+        solids: its objects.
+        standing: the objects without the robot.
+        group: names of the objects in contact.
+    """
+    others = [solid for name, solid in standing.items() if name not in group]
+    gaps = {name: Rest(standing[name], others, world.floor, FINE_GRID).gap() for name in standing if name in group}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    other_names = [_object_name(world, each) for each in solids if each in group and each != name]
+    other_names = [_object_name(world, each) for each in standing if each in group and each != name]
     with_others = f" (with {', '.join(other_names)})" if other_names else ""
     return (
         f"{_object_name(world, name)}{with_others} has no support: it is {1000 * gap:.1f} mm above "
-        f"{_object_name(world, below)}; {_move_object(world, name, np.array([0.0, 0.0, -gap]))}"
+        f"{_object_name(world, below)}; {_move_object(world, solids, name, np.array([0.0, 0.0, -gap]))}"
     )
 
 
@@ -555,126 +572,6 @@ def _connected(contacts: dict[str, set[str]], start: list[str], without: str = "
             names.add(name)
             ends.append(name)
     return names
-
-
-class _Rest:
-    """The contacts of an object with the objects vertically below it.
-
-    Args:
-        solid: the object.
-        others: objects below or beside it.
-        floor: height [m].
-        grid: number of vertical rays across the longer side.
-    """
-
-    def __init__(self, solid: Solid, others: list[Solid], floor: float, grid: int = _GRID) -> None:
-        self._solid, self._names = solid, [*(other.name for other in others), "floor"]
-        ground = Solid("floor", *floor_triangles(floor))
-        vertices, faces, self._object_of_face = concatenate_meshes(
-            (each.vertices, each.faces) for each in (*others, ground)
-        )
-        below = EmbreeRayCaster(vertices, faces)
-        size = solid.high - solid.low
-        self._step = float(max(size[:2].max(), 1e-6)) / grid
-        sides = [np.arange(solid.low[axis] + self._step / 2, solid.high[axis], self._step) for axis in range(2)]
-        x, y = np.meshgrid(*sides)
-        bottom = _vertical_hits(solid.caster, x.ravel(), y.ravel(), float(solid.low[2]) - self._step, up=True)[0]
-        points = np.column_stack([x.ravel(), y.ravel(), bottom])
-        feet = solid.vertices[np.unique(solid.faces)]
-        points = np.concatenate([points[np.isfinite(bottom)], feet[feet[:, 2] <= solid.low[2] + CONTACT_DISTANCE]])
-        height, face = _vertical_hits(below, points[:, 0], points[:, 1], points[:, 2] + CONTACT_DISTANCE)
-        self._points, self._gaps = points, points[:, 2] - height
-        self._below = np.where(face >= 0, self._object_of_face[face], len(self._names) - 1)
-
-    @property
-    def on(self) -> set[str]:
-        """Names of the objects that it rests on, without the floor."""
-        return {self._names[k] for k in np.unique(self._below[self._gaps <= CONTACT_DISTANCE])} - {"floor"}
-
-    def gap(self) -> tuple[float, str]:
-        """Return the smallest vertical gap below it [m], and the object there."""
-        nearest = int(np.argmin(self._gaps))
-        return float(self._gaps[nearest]), self._names[self._below[nearest]]
-
-    def margin(self) -> float:
-        """Return the distance of its centre of mass from the edge of its contacts, negative outside [m]."""
-        return hull_margin(self._points[self._gaps <= CONTACT_DISTANCE][:, :2], centre_of_mass(self._solid)[:2])
-
-    def move_to_balance(self) -> Floats | None:
-        """Return the shortest move (3,) [m] that brings its centre of mass above its contacts; None if it is there."""
-        points = self._points[self._gaps <= CONTACT_DISTANCE][:, :2]
-        if not len(points):
-            return None
-        move = _to_hull(points, centre_of_mass(self._solid)[:2])
-        return None if np.linalg.norm(move) <= self._step + CONTACT_DISTANCE else np.array([*move, 0.0])
-
-
-def _vertical_hits(
-    caster: EmbreeRayCaster, x: Floats, y: Floats, start: Floats | float, *, up: bool = False
-) -> tuple[Floats, NDArray[np.int32]]:
-    """Return height (N,) [m] and face of the first hit of vertical rays; without a hit an infinite height and -1."""
-    origins = np.column_stack([x, y, np.broadcast_to(start, x.shape)])
-    direction = np.array([0.0, 0.0, 1.0 if up else -1.0])
-    hits = caster.first_hit(origins, np.broadcast_to(direction, origins.shape))
-    return origins[:, 2] + direction[2] * hits.distance, hits.face
-
-
-def _to_hull(points: Floats, at: Floats) -> Floats:
-    """Return the vector (2,) from a point (2,) to the nearest point of the convex hull of points (N, 2); 0 inside."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(points)
-        if (hull.equations[:, :2] @ at + hull.equations[:, 2] <= 0).all():
-            return np.zeros(2)
-        corners = points[hull.vertices]
-    except QhullError:  # a point or a line
-        along = np.linalg.svd(points - points.mean(axis=0))[2][0]
-        corners = points[[np.argmin(points @ along), np.argmax(points @ along)]]
-    ends = np.roll(corners, -1, axis=0) - corners
-    share = np.einsum("ij,ij->i", at - corners, ends) / np.maximum((ends**2).sum(axis=1), 1e-300)
-    nearest = corners + np.clip(share, 0, 1)[:, None] * ends
-    vector: Floats = nearest[np.argmin(np.linalg.norm(nearest - at, axis=1))] - at
-    return vector
-
-
-def hull_margin(points: Floats, at: Floats) -> float:
-    """Return the distance of a point (2,) from the edge of the convex hull of points (N, 2), negative outside [m].
-
-    It is -inf if the points are on a line: a body on an edge tips.
-    """
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError):
-        return -np.inf
-    return -float((hull.equations[:, :2] @ at + hull.equations[:, 2]).max())
-
-
-def support_margin(world: World) -> float:
-    """Return the distance of the part's centre of mass from the edge of its contact polygon in plan view [m].
-
-    Supports are post, table, fixtures and floor below the part.
-
-    Returns:
-        Negative outside the polygon; -inf if nothing supports the part.
-    """
-    solids = {name: solid for name, solid in cell_solids(world).items() if name not in robot_bodies(world)}
-    below = [solid for name, solid in solids.items() if name != "part"]
-    return _Rest(solids["part"], below, world.floor, _FINE_GRID).margin()
-
-
-def centre_of_mass(solid: Solid) -> Floats:
-    """Return the centre of mass (3,) of uniform density, or of the surface if that is open [m]."""
-    corners = solid.triangles - solid.low
-    weights = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    middles = corners.sum(axis=1) / 4
-    if not solid.closed or abs(weights.sum()) < 1e-15:
-        weights = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        middles = corners.mean(axis=1)
-    centre: Floats = (weights[:, None] * middles).sum(axis=0) / weights.sum() + solid.low
-    return centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -763,7 +660,7 @@ class CheckResult:
     def rows(self) -> list[tuple[str, str]]:
         """Return the result as a table of two columns."""
         contacts = "; ".join(f"{pair} ({distance:.1f} mm)" for pair, distance in self.contacts_at_home)
-        nearest = f"{self.nearest_at_home}, {self.nearest_at_home_mm:.1f} mm" if self.nearest_at_home else "none"
+        nearest = f"{self.nearest_at_home}, {self.nearest_at_home_mm:.1f} mm"
         limits = ", ".join(f"{axis} {low:g}..{high:g}" for axis, (low, high) in self.joint_limits_deg.items())
         reach = self.envelope
         bracket = f", bracket {self.bracket_length_mm:g} mm" if self.bracket_length_mm else ", no bracket"
@@ -774,7 +671,7 @@ class CheckResult:
             ("part's centre", f"{comma_list(self.placement_mm)} mm in base"),
             ("home", f"{comma_list(self.home_deg)} deg"),
             ("contacts at home", contacts or "none"),
-            ("nearest at home", nearest if nearest != "none" else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
+            ("nearest at home", nearest if self.nearest_at_home else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
             ("joint limits", f"{limits} deg"),
             (
                 "reach",
@@ -819,7 +716,7 @@ def check_cell(settled: SettledScene, world: World) -> CheckResult:
     distance, nearest = checker.distance(world.home[None])
     envelope = _envelope(world)
     problems = find_problems(world)
-    if problem := _beyond_reach(world, envelope, max(settings.standoffs)):
+    if problem := _beyond_reach(world, envelope, _farthest_point(settings)):
         problems.append(problem)
     lower, upper = (np.rad2deg(ends).round(6).tolist() for ends in (world.limits.lower, world.limits.upper))
     standing = {"part", "post", TABLE, "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
@@ -860,12 +757,27 @@ def _envelope(world: World) -> Envelope:
     )
 
 
-def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
-    """Describe a part whose nearest point is beyond the standoff from the reach: a necessary condition only."""
+def _farthest_point(settings: Settings) -> float:
+    """Return the largest distance of a point from the source [m]: candidates grow over the whole range.
+
+    The range of a line sensor is a depth, and its ends are farther away than its middle.
+    """
+    far = settings.scanner.get("range_mm", (0.0, 1000 * max(settings.standoffs)))[1] / 1000
+    return float(far / np.cos(np.radians(settings.scanner.get("fan_deg", 0.0)) / 2))
+
+
+def _beyond_reach(world: World, envelope: Envelope, farthest_point: float) -> str:
+    """Describe a part whose nearest point no reachable source is near enough to: a necessary condition only.
+
+    Args:
+        world: the cell.
+        envelope: reach of the arm.
+        farthest_point: largest distance of a point from the source [m].
+    """
     T_base_centre = world.T_base_object @ world.T_object_centre
     centre = (np.linalg.inv(world.scene.robot.T_base) @ T_base_centre)[:3, 3]
     radius = float(np.linalg.norm(world.part_hull.vertices - world.T_object_centre[:3, 3], axis=1).max())
-    farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + standoff
+    farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + farthest_point
     if world.table is not None:  # half a turn may bring the part nearer
         farthest += 2 * float(np.linalg.norm(world.table.to_table_frame(T_base_centre[:3, 3])[:2]))
     gap = float(np.hypot(centre[0], centre[1])) - radius - farthest

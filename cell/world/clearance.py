@@ -182,8 +182,19 @@ def _bound(left: _End, right: _End, travel: float) -> float:
 def time_of_tightest(
     motion_t: Floats, motion_q: Floats, segment_of_sample: NDArray[np.integer], tightest: TightestMoment
 ) -> float:
-    """Return the time [s] at which a timed motion is nearest to the tightest configuration, within its segment."""
-    samples = np.flatnonzero(segment_of_sample == tightest.segment)
+    """Return the time [s] at which a timed motion is nearest to the tightest configuration, within its segment.
+
+    Args:
+        motion_t: (M,) times of the samples [s].
+        motion_q: (M, axes) joint angles [rad].
+        segment_of_sample: (M,) segment that each sample belongs to, not decreasing. A segment begins at the last sample
+            of the segment before it; one without a move has no samples of its own.
+        tightest: the configuration.
+    """
+    first, end = np.searchsorted(segment_of_sample, [tightest.segment, tightest.segment + 1])
+    samples = np.arange(max(first - 1, 0), end)
+    if len(samples) == 1:
+        return float(motion_t[samples[0]])
     a = motion_q[samples[:-1]]
     step = motion_q[samples[1:]] - a
     squared = np.maximum((step * step).sum(axis=1), 1e-30)

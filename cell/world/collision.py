@@ -150,7 +150,7 @@ class MujocoCollisionChecker:
         return best, distance
 
     def nearest_by_kind(self, q: Floats, reach: float) -> tuple[tuple[int, float], tuple[int, float]]:
-        """As `nearest`, for the pairs of a moving and a stationary body, and for those of two moving ones."""
+        """Find the nearest pair of a moving and a stationary body, and that of two moving bodies, each as `nearest`."""
         self._set(self._configurations(np.asarray(q, dtype=np.float64)[None])[0])
         best, distance = [-1, -1], [reach, reach]
         for bound, pair in zip(*self._candidates(reach), strict=True):

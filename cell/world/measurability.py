@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -254,16 +255,9 @@ def part_matrix(
         M = part_matrix(scene, settings, plain, candidates, reporter=reporter, use_cache=use_cache, progress=progress)
         return replace(M, samples=samples)
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner if method == "rays" else settings.scanner)
-    parameters = scanners.identity(scene.scanner.type, scanner)
-    parameters.pop("sigma_angle_mdeg", None)  # M has no limit on sigma; it is applied later
     row_of_face = None
     if method == "rays":
         row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
-    elif "max_spacing_mm" not in parameters:
-        parameters.pop("resolution_deg", None)  # an aimed ray belongs to no grid
-    key = row_key(reference, samples, parameters, method, row_of_face)
-    path = cache_folder() / f"{key[:32]}.npz"
-    hashes = column_hashes(candidates)
 
     def compute(views: Viewpoints) -> Measurability:
         return fill_matrix(
@@ -273,6 +267,12 @@ def part_matrix(
 
     if not use_cache:
         return compute(candidates)
+    parameters = scanners.identity(scene.scanner.type, scanner)
+    parameters.pop("sigma_angle_mdeg", None)  # M has no limit on sigma; it is applied later
+    if method != "rays" and "max_spacing_mm" not in parameters:
+        parameters.pop("resolution_deg", None)  # an aimed ray belongs to no grid
+    key = row_key(reference, samples, parameters, method, row_of_face)
+    path, hashes = cache_folder() / f"{key[:32]}.npz", column_hashes(candidates)
     cached = load(path, key) if path.exists() else None
     if cached is None or cached.measurability is None:
         if cached is not None and reporter is not None:
@@ -300,12 +300,14 @@ def _pick_columns(M: Measurability, columns: NDArray[np.int64]) -> Measurability
 
 
 def _store(path: Path, M: Measurability, key: str, columns: Hashes, reporter: ProgressReporter | None) -> None:
+    """Write a matrix to the cache and keep its size; a failure costs time in the next run only."""
     try:
         save(path, M, key, columns)
-        files.delete_oldest(path.parent, CACHE_LIMIT_BYTES)
     except FileError as error:
         if reporter is not None:
             reporter.note(f"the matrix is not cached for the next run: {error}")
+    with suppress(OSError):  # another run deletes files at the same time, or they belong to another user
+        files.delete_oldest(path.parent, CACHE_LIMIT_BYTES)
 
 
 def limit_sigma(

@@ -147,10 +147,6 @@ class World(Value):
         post[:3, 3] = centre - (up @ centre) * up + lowest * up
         return post
 
-    def post_top(self, T_base_object: ArrayLike) -> Floats:
-        """Return the top of the post (3,) [m], base frame."""
-        return self.T_base_post(T_base_object)[:3, 3]
-
     def data(self, T_base_object: ArrayLike | None = None, model: mujoco.MjModel | None = None) -> mujoco.MjData:
         """Create a state with the robot at home and the part at a placement.
 

@@ -34,7 +34,6 @@ from numpy.typing import ArrayLike
 
 from cell.errors import SceneError, errors_as
 from cell.part import mesh_files
-from cell.part.workpiece import UNITS
 from cell.robot import model as robot
 from cell.robot.model import mesh_of
 from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, Scene
@@ -178,9 +177,9 @@ def collision_hull(vertices: Floats, name: str) -> TriangleMesh:
 def fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
     """Read the triangles of a fixture, in the frame that it is attached to [m]."""
     path = Path(fixture.path)
-    vertices, faces = mesh_files.parse(path, mesh_files.read_bytes(path))
+    vertices, faces = mesh_files.parse_metres(path, mesh_files.read_bytes(path), fixture.units)
     T = fixture.T
-    return TriangleMesh(vertices * UNITS[fixture.units] @ T[:3, :3].T + T[:3, 3], faces.astype(np.int32))
+    return TriangleMesh(vertices @ T[:3, :3].T + T[:3, 3], faces.astype(np.int32))
 
 
 def add_box(body: mujoco.MjsBody, name: str, half: Floats, T: Floats, rgba: list[float]) -> mujoco.MjsGeom:

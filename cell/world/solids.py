@@ -69,6 +69,8 @@ class Solid:
             hull: (n, 3) fewer vertices with the same bounding box [m].
         """
         self.name, self._vertices, self._faces, self._T = name, vertices, faces, T
+        self._original: Solid | None = None
+        self._offset_copies: dict[float, Solid] = {}
         self.axes = np.empty((0, 3)) if axes is None else axes
         outline = self._in_base(vertices if hull is None else hull)
         self.low, self.high = outline.min(axis=0), outline.max(axis=0)
@@ -94,17 +96,24 @@ class Solid:
     @cached_property
     def closed(self) -> bool:
         """Whether every edge is shared by an even number of faces."""
-        start, end = self.faces.T.ravel(), np.roll(self.faces, -1, axis=1).T.ravel()
-        keys = np.minimum(start, end) * len(self.vertices) + np.maximum(start, end)
-        return bool((np.unique(keys[start != end], return_counts=True)[1] % 2 == 0).all())
+        ends, uses = self._edges_and_uses
+        return bool((uses[ends[:, 0] != ends[:, 1]] % 2 == 0).all())
 
     @cached_property
     def edges(self) -> Floats:
         """(E, 2, 3) ends of the edges [m]."""
-        ends = np.sort(np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]), axis=1)
-        keys = np.unique(ends[:, 0] * len(self.vertices) + ends[:, 1])
-        ends = np.stack(np.divmod(keys, len(self.vertices)), axis=1)
-        return np.asarray(self.vertices[ends])
+        return np.asarray(self.vertices[self._edges_and_uses[0]])
+
+    @cached_property
+    def _edges_and_uses(self) -> tuple[Ints, Ints]:
+        """(E, 2) vertices at the ends of the edges, and (E,) number of faces at each."""
+        if self._original is not None:
+            return self._original._edges_and_uses
+        start, end = self.faces.T.ravel(), np.roll(self.faces, -1, axis=1).T.ravel()
+        keys = np.sort(np.minimum(start, end) * len(self.vertices) + np.maximum(start, end))
+        first = np.flatnonzero(np.append(True, keys[1:] != keys[:-1]))  # np.unique takes ten times as long
+        uses: Ints = np.diff(np.append(first, len(keys)))
+        return np.stack(np.divmod(keys[first], len(self.vertices)), axis=1), uses
 
     @cached_property
     def edge_boxes(self) -> tuple[Floats, Floats]:
@@ -114,6 +123,8 @@ class Solid:
     @cached_property
     def bodies(self) -> Ints:
         """(n,) one vertex of each connected body."""
+        if self._original is not None:
+            return self._original.bodies
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -136,9 +147,17 @@ class Solid:
         copy = decimate(TriangleMesh(self.vertices, self.faces.astype(np.int32)), _SEARCH_FACES // 2)
         return Solid(self.name, copy.vertices, copy.faces, self.axes)
 
+    def with_vertices(self, vertices: Floats) -> Solid:
+        """Return the solid with its vertices (V, 3) elsewhere [m], base frame; the properties of its faces are kept."""
+        other = Solid(self.name, vertices, self.faces, self.axes)
+        other._original = self
+        return other
+
     def offset_by(self, distance: float) -> Solid:
         """Return the solid with every face moved outward [m], inward for a negative distance."""
-        return Solid(self.name, self.vertices + distance * self._offsets, self.faces, self.axes)
+        if distance not in self._offset_copies:
+            self._offset_copies[distance] = self.with_vertices(self.vertices + distance * self._offsets)
+        return self._offset_copies[distance]
 
     @cached_property
     def _offsets(self) -> Floats:

@@ -170,12 +170,16 @@ class TravelBound:
         return rotations, shifts
 
     def _chain_caps(self) -> Floats:
-        """Return bound 2 (6, 6): largest distance of a point of link k from axis i over all joint angles [m]."""
+        """Return bound 2 (6, 6): largest distance of a point of link k from axis i over all joint angles [m].
+
+        It is 0 for a link without shape, so that bound 1, which then has a point of the next link, does not matter.
+        """
         caps = np.zeros((_N, _N))
         for k in range(_N):
             piece = self._link_of == k
-            balls = self._points[piece], self._radii[piece]
-            caps[: k + 1, k] = farthest(self._anchors[: k + 1], self._axes[: k + 1], balls)
+            if piece.any():  # a link of an arm from a file may have no shape
+                balls = self._points[piece], self._radii[piece]
+                caps[: k + 1, k] = farthest(self._anchors[: k + 1], self._axes[: k + 1], balls)
         return caps
 
 

@@ -107,6 +107,19 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
     "nodes in a circle": (
         "x.glb", _glb(_scene(nodes=[{"children": [1]}, {"children": [0]}]), _TRIANGLE), "a node under two parents"
     ),
+    "a morph target of one vertex": (
+        "x.glb",
+        _glb(_scene(
+            meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "targets": [{"POSITION": 1}]}], "weights": [1]}],
+            accessors=[_ACCESSOR, {**_ACCESSOR, "count": 1}],
+        ), _TRIANGLE),
+        "a morph target with another number of vertices",
+    ),
+    "a polygon with a corner at 1e308": (
+        "x.off",
+        b"OFF\n5 2 0\n0 0 0\n9 0 0\n9 9 0\n0 9 1e308\n4 4 5\n4 3 2 1 0\n3 0 1 4\n",
+        "has a coordinate of 1e+308",
+    ),
     "a deep description": ("x.glb", _glb(b"[" * 100_000), "cannot be read"),
     "a description of another kind": ("x.glb", _glb(b"[1, 2]"), "not an object"),
     "nodes of another kind": ("x.glb", _glb(_scene(nodes={"a": 1}), _TRIANGLE), "that is not a list"),
@@ -222,13 +235,17 @@ def test_a_name_that_no_file_can_have_is_no_bug(
     assert "bug" not in process.stderr
 
 
-def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
-    """A fixture with a name that is too long or an invalid path is refused."""
-    for line, words in (
-        (f'name = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "101 characters; it must have at most 100"),
-        (f'name = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no valid file name"),
+def test_names_and_paths_in_a_scene_are_looked_at(tmp_path: Path) -> None:
+    """Names of fixtures that are too long, invalid paths, and the home folder of an unknown user are refused."""
+    painted = '[[region]]\nname = "a"\ncolour = "#ff0000"\npainted_units = "mm"\npainted ='
+    for content, words in (
+        (f'[[fixtures]]\nname = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "it must have at most 100"),
+        (f'[[fixtures]]\nname = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no valid file name"),
+        (f'{painted} "{"n" * 300}.ply"', "no valid file name"),
+        (f'{painted} "~no-such-user/a.ply"', "no valid file name"),
+        ('[robot.packages]\narm = "~no-such-user/arm"', "robot.packages names '~no-such-user/arm', below the home"),
     ):
-        (tmp_path / "x.toml").write_text(f"[[fixtures]]\n{line}\n")
+        (tmp_path / "x.toml").write_text(content)
         with pytest.raises(SceneError, match=words):
             load_scene(tmp_path / "x.toml")
 

@@ -66,11 +66,20 @@ def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
     assert result.summary()["contacts_at_home"][0].keys() == {"pair", "distance_mm"}
 
 
+def test_the_floor_has_no_end(ball: dict) -> None:
+    """A fixture far away is as high above the floor as one in the cell; a floor at 0 has no sign."""
+    crate = {"name": "crate", "shape": "box", "size_mm": [100, 100, 100], "position_mm": [50_000, 0, 550]}
+    (warning,) = check_scene(Scene.model_validate({"part": ball, "fixtures": [crate]})).warnings
+    assert "it is 1100.0 mm above the floor; move fixtures[0].position_mm by (0, 0, -1100) mm" in warning
+    (problem, *_) = check_scene(Scene.model_validate({"part": ball, "robot": {"pedestal_height_mm": 0}})).problems
+    assert "which is at z = 0 mm" in problem
+
+
 @pytest.mark.parametrize(
-    ("x", "is_outside"), [(2200, False), (2270, False), (2300, True), (9000, True)]
-)  # 1610.9 + 278 + the standoff of 300 + the ball's radius of 100 = 2288.9
+    ("x", "is_outside"), [(2200, False), (2400, False), (2430, False), (2450, True), (9000, True)]
+)  # 1610.9 + 278 + the far end of the range, 450, + the ball's radius of 100 = 2438.9
 def test_a_part_out_of_reach_is_a_problem(ball: dict, x: float, is_outside: bool) -> None:
-    """A part beyond arm, tool and standoff is reported as out of reach."""
+    """A part beyond arm, tool and range is reported as out of reach; at 2400 mm a plan measures a tenth of it."""
     result = check_scene(Scene.model_validate({"part": ball, "placement": {"position_mm": [x, 0, 500]}}))
     assert any("out of reach" in problem for problem in result.problems) == is_outside
 

@@ -38,6 +38,18 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
     ) == pytest.approx(5.5)
 
 
+def test_the_moment_of_a_segment_without_a_move_is_its_begin() -> None:
+    """A view at home needs no move; a segment also contains the move from the last sample before it."""
+    t, q = np.arange(4.0), np.zeros((4, 6))
+    q[:, 0] = [0.0, 1.0, 2.0, 3.0]
+    segment = np.array([0, 1, 1, 3])
+    times = [
+        time_of_tightest(t, q, segment, TightestMoment(number, at * np.eye(6)[0], 0.02, "", np.zeros((2, 3))))
+        for number, at in ((0, 0.0), (1, 0.25), (2, 2.0), (3, 2.5))
+    ]
+    assert times == pytest.approx([0.0, 0.25, 2.0, 2.5])
+
+
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
     """Without a tightest moment the text is empty."""
     segment = schema.SegmentClearance(minimum_mm=20.0, lower_bound_mm=19.0, between="housing with post")

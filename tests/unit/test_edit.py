@@ -122,6 +122,21 @@ def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path)
         make_edit(run, out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
 
 
+def test_a_pose_is_added_to_a_part_at_another_placement(planned: Path, tmp_path: Path) -> None:
+    """A new pose is a candidate behind the last one, measured at the new placement like all others."""
+    run = open_run(planned)
+    T = run.scene.T_base_object.copy()
+    T[0, 3] += 0.005
+    a, b, c = np.degrees(kuka_abc_from_pose(run.T_base_scanner[0])[1])
+    pose = (*(1000 * run.T_base_scanner[0, :3, 3] + [9.0, 0.0, 1.0]), a, b, c)
+    made = make_edit(run, T_base_object=T, add_pose=[pose], out=tmp_path / "there")
+    last = len(run.candidates)
+    assert sorted(made.candidate) == [*sorted(run.candidate), last]
+    stop = made.candidate.tolist().index(last)
+    assert 1000 * made.T_base_scanner[stop, :3, 3] == pytest.approx(np.array(pose[:3]), abs=0.01)
+    assert made.plan.views[stop].id == last
+
+
 @pytest.fixture(scope="module")
 def without(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return the plan without its second view."""

@@ -185,12 +185,21 @@ def test_ply_in_every_form(tmp_path: Path, form: str, before: str, comment: str)
         measures(tmp_path / "l.ply", content[:-4])
 
 
+@pytest.mark.parametrize("faces", ["f 1 2 3\nf /1", "f /1\nf 1 2 3"])
+def test_a_face_without_corners_is_named_in_a_coloured_mesh(tmp_path: Path, faces: str) -> None:
+    """Colours of vertices have no mean over no corners."""
+    rows = [f"v {x} {y} 0 1 0 0" for x, y in ((0, 0), (9, 0), (0, 9))]
+    with pytest.raises(FileError, match=r"has a face with 0 corners \(face \d\)"):
+        measures(tmp_path / "l.obj", "\n".join([*rows, faces]))
+
+
 def test_ply_triangle_strips(tmp_path: Path) -> None:
     """A strip of a box side and a restart mark give the triangles with consistent winding."""
     rows = ["0 0 0", "1 0 0", "0 1 0", "1 1 0", "0 2 0", "1 2 0"]
     head = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {axis}" for axis in "xyz")]
     head += ["element tristrips 1", "property list int int vertex_indices", "end_header"]
-    content = "\n".join([*head, *rows, "9 0 1 2 3 -1 2 3 4 5", ""])
+    strips = ["1 0", "9 0 1 2 3 -1 2 3 4 5", "0"]
+    content = "\n".join([*head, *rows, *strips, ""]).replace("tristrips 1", "tristrips 3")
     (tmp_path / "s.ply").write_text(content)
     vertices, faces = parse(tmp_path / "s.ply", content.encode())
     cross = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
@@ -321,14 +330,22 @@ def three_mf(path: Path, unit: str, items: str, required: str = "") -> bytes:
     """Return a 3MF file with the triangles of the prism as object 1, and a mirrored copy at x 300 as object 2."""
     vertices, _ = prism()
     triangles = stl_triangles()
-    core = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
     points = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in vertices)
     corners = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles)
-    model = (
-        f'<?xml version="1.0"?><model unit="{unit}" xmlns="{core}" {required}><resources><object id="1"><mesh>'
-        f"<vertices>{points}</vertices><triangles>{corners}</triangles></mesh></object>"
+    objects = (
+        f'<object id="1"><mesh><vertices>{points}</vertices><triangles>{corners}</triangles></mesh></object>'
         '<object id="2"><components><component objectid="1" '
-        f'transform="-1 0 0 0 1 0 0 0 1 300 0 0"/></components></object></resources><build>{items}</build></model>'
+        'transform="-1 0 0 0 1 0 0 0 1 300 0 0"/></components></object>'
+    )
+    return packed(path, objects, items, f'unit="{unit}" {required}')
+
+
+def packed(path: Path, objects: str, items: str, attributes: str = "") -> bytes:
+    """Write a 3MF file of objects and build items; return its bytes."""
+    core = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+    model = (
+        f'<?xml version="1.0"?><model xmlns="{core}" {attributes}><resources>{objects}</resources>'
+        f"<build>{items}</build></model>"
     )
     relation = 'Target="/3D/m.model" Id="r" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"'
     space = 'xmlns="http://schemas.openxmlformats.org/package/2006/relationships"'
@@ -353,6 +370,22 @@ def test_3mf_with_units_components_and_transforms(tmp_path: Path) -> None:
         assert area == pytest.approx(2 * AREA * metres**2)
         assert volume == pytest.approx(2 * VOLUME * metres**3)
         assert size == pytest.approx(np.array([300, 80, HEIGHT]) * metres)
+
+
+def test_a_3mf_of_nested_copies_is_refused_before_it_is_expanded(tmp_path: Path) -> None:
+    """Ten copies in ten copies, nine deep, are a billion triangles in two kilobytes; seven copies are read."""
+    ten = ("".join(10 * [f'<component objectid="{k}"/>']) for k in range(1, 10))
+    copies = "".join(f'<object id="{k}"><components>{each}</components></object>' for k, each in enumerate(ten, 2))
+    triangle = "<mesh><vertices>{}</vertices><triangles><triangle v1='0' v2='1' v3='2'/></triangles></mesh>".format(
+        "".join(f"<vertex x='{x}' y='{y}' z='0'/>" for x, y in ((0, 0), (9, 0), (0, 9)))
+    )
+    for items, is_refused in (('<item objectid="10"/>', True), (7 * '<item objectid="1"/>', False)):
+        content = packed(tmp_path / "l.3mf", f'<object id="1">{triangle}</object>{copies}', items)
+        if is_refused:
+            with pytest.raises(FileError, match="expands to more triangles than it has bytes"):
+                parse(tmp_path / "l.3mf", content)
+        else:
+            assert len(parse(tmp_path / "l.3mf", content)[1]) == 7
 
 
 def test_3mf_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
@@ -389,7 +422,7 @@ def test_colours_of_concave_polygons(tmp_path: Path, suffix: str) -> None:
             rows += ["v " + " ".join(map(str, [*vertices[k], *colour])) for k in face]
             rows.append("f " + " ".join(str(next(corners)) for _ in face))
         path.write_text("\n".join(rows))
-    mesh, colours = read_coloured(path, 1e-3)
+    mesh, colours = read_coloured(path, "mm")
     is_red = (colours == [255, 0, 0]).all(axis=1)
     assert mesh.areas[is_red].sum() * 1e6 == pytest.approx(2 * (100 * 30 + 30 * 50))
 

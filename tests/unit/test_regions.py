@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,14 @@ def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
     assert area(part, 0) == pytest.approx(2 * math.pi * 8 * 30, rel=2e-3)
     assert area(part, 1) == pytest.approx(2 * (60 * 40 - math.pi * 64) + 2 * 30 * (60 + 40), rel=2e-3)
     assert not (part.reference.region < 0).any()
+    # The colours of a file without a unit have the scale of its surface.
+    path.write_text(re.sub(r"GLOBAL_UNIT_ASSIGNED_CONTEXT\(\([^)]*\)\)", "", file.text()))
+    in_inches = tagged(path, [red, blue, NO], "in")
+    assert [area(in_inches, k) / 25.4**2 for k in (0, 1)] == pytest.approx([area(part, 0), area(part, 1)], rel=1e-6)
+    painted = {**red, "painted": str(path), "painted_units": "mm"}
+    plain = tmp_path / "plain.stp"
+    plain.write_text(bored_block())
+    assert area(tagged(plain, [painted, NO]), 0) == pytest.approx(area(part, 0), rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -22,12 +22,12 @@ from cell.robot.robot_file import capture_mujoco_warnings
 from cell.scene.model import Scene
 from cell.view.overlays import find_violations
 from cell.world import robot_spec, self_collision
-from cell.world.checks import find_warnings
+from cell.world.checks import find_problems, find_warnings
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from cell.world.robot_check import report
 from cell.world.self_collision import LinkPairs, prove_separation
-from cell.world.shapes import ShapeDistances
+from cell.world.shapes import ShapeDistances, enclosing_points
 from cell.world.travel import TravelBound
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
@@ -238,6 +238,29 @@ def test_the_motion_bound_of_the_proof_holds(tmp_path: Path, levers: str) -> Non
                 mujoco.mj_kinematics(model, data)
                 distances.append(max(shapes.distance(data, *shape, 5.0), 0.0))
             assert abs(distances[0] - distances[1]) <= (moved @ np.abs(step)).min() + 1e-9
+
+
+@pytest.mark.parametrize("number", [1, 3, 6])
+def test_a_link_without_shape_has_a_motion_bound(tmp_path: Path, number: int) -> None:
+    """The arm is checked like any other, and no corner of a link moves farther than the bound on its travel."""
+    box = f'<collision><origin xyz="{_text(CHAIN[number - 1][2])}"/>'
+    text = urdf()
+    begin = text.index(box)
+    text = text[:begin] + text[text.index("</collision>", begin) + len("</collision>") :]
+    world = compile_world(Scene.model_validate({"robot": {"model": str(written(tmp_path, text))}}), CUBE)
+    assert f"link_{number}" not in world.entities
+    assert not find_problems(world)
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (50, 2, 6))
+    bound, data, moved = MujocoCollisionChecker(world).travel(q[:, 0], q[:, 1]), world.data(), np.zeros(50)
+    for k, ends in enumerate(q):
+        corners = []
+        for data.qpos[:] in ends:
+            mujoco.mj_kinematics(world.model, data)
+            geoms = [geom for geom, name in enumerate(world.entities) if name in (*robot.LINKS, "housing")]
+            corners.append(np.concatenate([enclosing_points(world.model, data, geom)[0] for geom in geoms]))
+        moved[k] = np.linalg.norm(corners[1] - corners[0], axis=1).max()
+    assert (moved <= bound).all()
+    assert (bound < 8 * moved).all()
 
 
 def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(tmp_path: Path) -> None:

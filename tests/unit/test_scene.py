@@ -151,6 +151,18 @@ def test_a_wrong_value_is_named_with_the_valid_ones(tmp_path: Path, text: str, s
     assert problem.startswith(start)
 
 
+def test_set_ups_differ_in_name_and_content(tmp_path: Path) -> None:
+    """A repeated name, equal set-ups and a repeated fixture have a sentence each."""
+    one, other = (f"[[setup]]\nname = '{name}'\nposition_mm = [1, 2, 3]\n" for name in "ab")
+    box = "[[setup.fixtures]]\nname = 'vice'\nshape = 'box'\nsize_mm = [1, 1, 1]\n"
+    cases = {
+        one + one: "setup has the name 'a' more than once; each set-up needs its own",
+        one + other: "setup 'a' and 'b' are equal; omit one of them",
+        one + box + box: "setup 'a' has the fixture 'vice' more than once; each needs its own name",
+    }
+    assert {text: _problems(tmp_path, text) for text in cases} == {text: [each] for text, each in cases.items()}
+
+
 def test_fixtures_need_distinct_names(tmp_path: Path) -> None:
     """Two fixtures of one name could not be distinguished in a report."""
     one = "[[fixtures]]\nshape='box'\nname='a'\nsize_mm=[1,1,1]\n"

@@ -18,7 +18,7 @@ from cell.runs.schema import Manifest
 from cell.scene.model import Post, Scene
 from cell.scene.settle import SettledScene, settle
 from cell.why import advise
-from cell.world.checks import support_margin
+from cell.world.balance import support_margin
 from cell.world.model import compile_world
 from cell.world.occluders import Occluder
 from cell.world.support_contact import in_contact
@@ -119,7 +119,7 @@ def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], t
         assert again.table is not None
         assert world.table is not None
         np.testing.assert_allclose(again.table.T_base_table, world.table.T_base_table, atol=1e-9)
-        assert again.post_top(again.T_base_object)[2] == pytest.approx(-0.05, abs=2e-6)
+        assert again.T_base_post(again.T_base_object)[2, 3] == pytest.approx(-0.05, abs=2e-6)
 
 
 def test_no_set_up_is_proposed_on_a_tilted_table() -> None:

@@ -14,7 +14,10 @@ from cell.part.cad import DEVIATION_MM, MAX_VOLUME_ERROR, SurfaceKind, cad_face
 from cell.part.description import volume
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece, load
+from cell.scene.fields import Units
 from cell.scene.file import load_scene
+from cell.scene.model import MeshFixture
+from cell.world.shapes import fixture_mesh
 from tests.step_files import BLOCK_VOLUME, StepFile, bored_block, needs_cascadio
 
 
@@ -200,6 +203,26 @@ def test_a_file_without_a_unit_asks_for_it(tmp_path: Path) -> None:
     bore = next(face for face in part.cad.faces if face.kind is SurfaceKind.CYLINDER)
     assert bore.radius == pytest.approx(8 * 0.0254, rel=1e-9)
     check_faces(part)
+
+
+@needs_cascadio
+def test_a_fixture_has_the_unit_of_its_file_or_else_the_given_one(tmp_path: Path) -> None:
+    """A second unit is refused: a fixture in millimetres would be a thousandth of its size."""
+    text, size = bored_block(), np.array([60, 40, 30]) / 1000
+    stated = written(tmp_path, text)
+    silent = written(tmp_path, re.sub(r"GLOBAL_UNIT_ASSIGNED_CONTEXT\(\([^)]*\)\)", "", text), "silent.stp")
+
+    def fixture(path: Path, units: Units) -> np.ndarray:
+        vice = MeshFixture(name="vice", shape="mesh", path=str(path), units=units)
+        return np.ptp(fixture_mesh(vice).vertices, axis=0)
+
+    assert fixture(stated, "m") == pytest.approx(size, rel=1e-6)
+    assert fixture(silent, "mm") == pytest.approx(size, rel=1e-6)
+    assert fixture(silent, "in") == pytest.approx(25.4 * size, rel=1e-6)
+    with pytest.raises(UsageError, match="states its own unit"):
+        fixture(stated, "mm")
+    with pytest.raises(UsageError, match="does not state its unit"):
+        fixture(silent, "m")
 
 
 @needs_cascadio

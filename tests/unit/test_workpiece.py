@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pydantic import ValidationError
 
 from cell.errors import CellError, FileError, UsageError
 from cell.part.description import volume as described_volume
-from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
+from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_arrays, from_mesh, load
 from cell.scene.model import Scene
 
 
@@ -408,6 +409,32 @@ def test_a_glb_without_units_is_in_metres(tmp_path: Path) -> None:
         {"part": {"path": str(path)}, "fixtures": [vice, {**vice, "name": "two", "units": "in"}]}
     )
     assert [scene.part.units, *(fixture.units for fixture in scene.fixtures)] == ["m", "m", "in"]
+
+
+@pytest.mark.parametrize(
+    ("faces", "sentence"),
+    [
+        ([[0, 1, 2], [0, -1, 2]], r"refers to vertex -1 \(counted from 0\), but there are 4"),
+        ([[0, 1, 2], [0, 1, 4]], "refers to vertex 4 "),
+        ([[0, 1, 2, 3], [3, 2, 1, 0], [0, 2, 1, 3]], "faces do not have three corners"),
+        ([], "holds no faces"),
+    ],
+)
+def test_arrays_that_are_no_triangles_are_refused(faces: list[list[int]], sentence: str) -> None:
+    """A mesh in memory has the checks of a file; the message has the wrong index."""
+    vertices = 100 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    with pytest.raises(FileError, match=sentence):
+        from_arrays("mesh", vertices, np.array(faces), "mm")
+
+
+def test_a_fixture_of_a_file_with_a_unit_has_no_other(tmp_path: Path) -> None:
+    """Units of a 3MF are refused by the scene, as those of a part."""
+    path = tmp_path / "vice.3mf"
+    path.write_bytes(b"PK")
+    vice = {"name": "vice", "shape": "mesh", "path": str(path)}
+    assert [each.units for each in Scene.model_validate({"fixtures": [vice]}).fixtures] == ["m"]
+    with pytest.raises(ValidationError, match="states its own unit; omit the units"):
+        Scene.model_validate({"fixtures": [{**vice, "units": "mm"}]})
 
 
 def test_the_volume_of_a_part_far_from_its_origin_keeps_its_digits(tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ def test_occluders_are_all_stationary_opaque_objects(world: World) -> None:
             assert mesh.volume == pytest.approx(volume)
     for name, radius, low, high in (
         ("pillar", 0.04, -0.45, 0.45),
-        ("post", 0.02, -0.6, world.post_top(world.T_base_object)[2]),
+        ("post", 0.02, -0.6, world.T_base_post(world.T_base_object)[2, 3]),
     ):
         mesh = trimesh.Trimesh(found[name].vertices, found[name].faces)
         np.testing.assert_allclose(mesh.bounds[:, 2], [low, high], atol=1e-12)
