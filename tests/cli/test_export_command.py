@@ -131,7 +131,10 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
         (("--format", "karel"), "--format is 'karel'; did you mean 'krl'? valid are: krl, rapid"),
         (("--format", "rapid", "--name", "Trap"), "--name Trap is reserved in RAPID"),
         (("--format", "rapid", "--name", "scStop"), "--name scStop is reserved in RAPID or in the exported program"),
+        (("--format", "rapid", "--name", "SCSTOP"), "--name SCSTOP is reserved in RAPID or in the exported program"),
         (("--format", "urscript", "--name", "halt"), "--name halt is reserved in URScript"),
+        (("--format", "urscript", "--name", "Con"), "--name Con is reserved in URScript"),
+        (("--format", "ls", "--name", "COM1"), "--name COM1 is reserved in LS"),
         (("--format", "ls", "--name", "pause"), "--name pause is reserved in LS"),
         (("--format", "ls", "--done-input", "0"), "--done-input is 0; in LS it must be from 1 to 4096"),
         (
