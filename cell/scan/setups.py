@@ -158,7 +158,7 @@ def _new_options(planned: SetupsRun, number: int, user_options: ScanOptions | No
 
 def _recorded_options(folder: Path, execution: str, user_options: ScanOptions | None) -> ScanOptions:
     """Return the options of an execution, as a resume with the given options would use them."""
-    manifest = read_execution(open_finished(folder), execution).manifest
+    manifest = open_finished(folder).execution_manifest(execution)
     return ScanOptions.from_manifest(manifest.options).resumed(user_options or ScanOptions())
 
 
@@ -166,7 +166,7 @@ def _stopped_execution(folder: Path) -> str | None:
     """Return the latest execution of all views of a run if it did not finish."""
     run = open_finished(folder)
     for name in reversed(run.execution_ids):
-        manifest = read_execution(run, name).manifest
+        manifest = run.execution_manifest(name)
         if manifest.options.get("view") is None:
             return None if manifest.status == "finished" else name
     return None
@@ -176,7 +176,7 @@ def complete_execution(folder: Path) -> str | None:
     """Return the latest finished execution of all views of a set-up's run; None if there is none."""
     run = open_finished(folder)
     for name in reversed(run.execution_ids):
-        manifest = read_execution(run, name).manifest
+        manifest = run.execution_manifest(name)
         is_complete = manifest.status == "finished" and manifest.options.get("view") is None
         if is_complete and manifest.digest == run.digest:
             return name
