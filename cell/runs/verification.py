@@ -64,7 +64,7 @@ class VerifiedPlan:
         scene: scene.resolved.json.
         plan: plan.json.
         motion: motion.npz.
-        world: the cell, compiled recompiled.
+        world: the cell, compiled again.
         checker: collision checker of the cell.
     """
 
@@ -355,7 +355,7 @@ def verify_timing(
     Args:
         run: the run.
         limits: limits of the model (`model_limits`), scaled.
-        sweeps: first via point of each sweep, and the sweep as proven recompiled.
+        sweeps: first via point of each sweep, and the sweep as proven again.
         T_flange_scanner: (4, 4) mount [m].
         kinematics: of the arm.
     """
