@@ -253,12 +253,12 @@ def _numerics(model: mujoco.MjModel) -> list[tuple[str, list[float]]]:
     return sorted((each.name, np.round(each.data, 9).tolist()) for each in numbers)
 
 
-def _differs(one: Floats, two: Floats, near: float = _MODEL_TOLERANCE) -> bool:
-    return bool((np.abs(np.asarray(one) - np.asarray(two)) > near).any())
+def _differs(one: Floats, two: Floats) -> bool:
+    return not bool((np.abs(np.asarray(one) - np.asarray(two)) <= _MODEL_TOLERANCE).all())  # NaN differs
 
 
 def _is_rotated(one: Floats, two: Floats) -> bool:
-    return bool(abs(abs(float(np.dot(one, two))) - 1.0) > _MODEL_TOLERANCE)
+    return not abs(abs(float(np.dot(one, two))) - 1.0) <= _MODEL_TOLERANCE  # NaN is rotated
 
 
 def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int) -> Floats:
