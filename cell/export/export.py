@@ -84,10 +84,9 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
 
 
 def percent(requested: float | None, default: int, planned: float) -> int:
-    """Return the requested share as a percentage, or the smaller of the default and the plan's share, rounded down."""
-    if requested is not None:
-        return max(1, round(100 * requested))
-    return min(default, max(1, int(planned * 100 + 1e-9)))
+    """Return the requested share in percent, else the smaller of the default and the plan's share; rounded down."""
+    share = max(1, int((planned if requested is None else requested) * 100 + 1e-9))
+    return share if requested is not None else min(default, share)
 
 
 def _contents(
