@@ -8,9 +8,8 @@ import numpy as np
 
 from cell.errors import FileError, UsageError, errors_as
 from cell.files import atomic_write, file_errors
-from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.features import InspectionPlan
-from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_source, read_plan
+from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_of_run, qif_source, read_plan
 from cell.inspect.measured import MeasuredPoints
 from cell.metrology import point_files
 from cell.metrology.options import InspectOptions
@@ -122,7 +121,7 @@ def _characteristics(run: Run | None, scene: Scene | None) -> tuple[InspectionPl
     plan = read_plan(run)
     if plan is None:
         raise UsageError(f"{run.folder} was planned without characteristics; give --part and --qif, or --scene")
-    return plan, run.reference, run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None, run.scene.part.name
+    return plan, run.reference, qif_of_run(run), run.scene.part.name
 
 
 def inspect_execution(
