@@ -16,6 +16,8 @@ from cell.runs.schema import JsonTable
 from cell.runs.setups import SetupsRun
 from cell.session import ProgressReporter
 
+_SUFFIX_LENGTH = 3  # of `_` and the number of a set-up
+
 FOLDER = "export"
 """Folder below the run folder. It is not part of the plan; each call replaces its files."""
 
@@ -48,9 +50,6 @@ def export(run_folder: Path, options: ExportOptions, reporter: ProgressReporter 
         FileError: if the run has no finished motion, a file is damaged, or the output cannot be written.
     """
     program = load_program(run_folder, options.name, options, reporter)
-    if options.kind == "ros":
-        files = ros.files(program.info.name, open_finished(run_folder))
-        return _write_programs(run_folder, [program], program.info.name, options, files)
     return _write_programs(run_folder, [program], program.info.name, options)
 
 
@@ -68,9 +67,14 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
     planned = SetupsRun.opened(folder)
     if options.kind == "ros":
         raise UsageError(f"--format ros is for one set-up; give one of: {', '.join(map(str, planned.folders))}")
-    digest = planned.file.selected[0].digest
-    name = options.name or program_name(folder.resolve().name, digest, options.kind or "krl")
-    if len(name) > MAX_NAME_LENGTH - 3:  # the names of the set-ups' programs end with `_` and a number
+    digest, longest = planned.file.selected[0].digest, MAX_NAME_LENGTH - _SUFFIX_LENGTH
+    name = program_name(folder.resolve().name, digest, options.kind or "krl") if options.name is None else options.name
+    if len(name) > longest:
+        if options.name is not None:
+            raise UsageError(
+                f"--name {name} has {len(name)} characters; a name for several set-ups has at most {longest}, because "
+                "_ and a number follow it"
+            )
         name = f"scan_{digest[:8]}"
     programs = [
         load_program(run, f"{name}_{number}", options, reporter) for number, run in enumerate(planned.folders, start=1)
@@ -80,14 +84,15 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
 
 
 def percent(requested: float | None, default: int, planned: float) -> int:
-    """Return the requested share as a percentage, or the smaller of the default and the plan's share, rounded down."""
-    if requested is not None:
-        return max(1, round(100 * requested))
-    return min(default, max(1, int(planned * 100 + 1e-9)))
+    """Return the requested share in percent, else the smaller of the default and the plan's share; rounded down."""
+    share = max(1, int((planned if requested is None else requested) * 100 + 1e-9))
+    return share if requested is not None else min(default, share)
 
 
-def _contents(name: str, programs: Sequence[Program], settings: Sequence[ProgramSettings]) -> dict[str, bytes]:
-    """Return the files of one program, or of one per set-up."""
+def _contents(
+    folder: Path, name: str, programs: Sequence[Program], settings: Sequence[ProgramSettings]
+) -> dict[str, bytes]:
+    """Return the files of the program of a run folder, or of one program per set-up."""
     match programs[0].info.language:
         case "krl":
             return krl.files(name, programs, settings)
@@ -102,17 +107,11 @@ def _contents(name: str, programs: Sequence[Program], settings: Sequence[Program
         case "json":
             return {f"{program.info.name}.json": tables.as_json(program) for program in programs}
         case "ros":
-            raise AssertionError("its files are those of a run")
+            return ros.files(programs[0], open_finished(folder))
 
 
-def _write_programs(
-    folder: Path,
-    programs: Sequence[Program],
-    name: str,
-    options: ExportOptions,
-    contents: dict[str, bytes] | None = None,
-) -> ExportOutcome:
-    """Write programs, for several also a main program, or other files, to `options.out` or below the run folder."""
+def _write_programs(folder: Path, programs: Sequence[Program], name: str, options: ExportOptions) -> ExportOutcome:
+    """Write programs, for several also a main program, to `options.out` or below the run folder."""
     settings = [
         ProgramSettings(
             percent(options.speed, SPEED_PERCENT, program.info.speed),
@@ -121,7 +120,7 @@ def _write_programs(
         )
         for program in programs
     ]
-    contents = _contents(name, programs, settings) if contents is None else contents
+    contents = _contents(folder, name, programs, settings)
     files = _write(folder / FOLDER if options.out is None else options.out, contents, replace=options.out is None)
     return ExportOutcome(
         format=programs[0].info.language,

@@ -1,8 +1,8 @@
 """Names of programs: well-formed, and not reserved in the language.
 
 Reserved in KRL are keywords and predefined functions, declarations of KUKA's `$CONFIG.DAT` (a KSS 8; users may have
-added more), KUKA's own programs, definitions of the exported programs themselves, and names that Windows does not allow
-for files. KRL and RAPID ignore case; LS has upper case only.
+added more), KUKA's own programs, and definitions of the exported programs themselves. Names that Windows does not allow
+for files are reserved in every language. KRL and RAPID ignore case; LS has upper case only.
 """
 
 import re
@@ -21,6 +21,10 @@ LANGUAGES = {"krl": "KRL", "rapid": "RAPID", "urscript": "URScript", "ls": "LS"}
 
 _RESERVED_PATTERNS = re.compile(r"(com|lpt|x?home|channel_|up|makro|xp)\d+|xhome|def_.*")
 """Patterns: names with a number (devices, positions, signals, KUKA's user programs), and defaults of $CONFIG.DAT."""
+
+
+_NO_FILE = re.compile(r"aux|con|nul|prn|(com|lpt)\d+")
+"""Names that Windows does not allow for files."""
 
 
 def check_name(name: str, language: Language) -> None:
@@ -44,7 +48,7 @@ def check_name(name: str, language: Language) -> None:
         raise UsageError(
             f"--name {name} is reserved in KRL, in $CONFIG.DAT or in the exported program; choose another name"
         )
-    if title != "KRL" and (is_reserved or re.fullmatch(r"sc[A-Z_].*|(com|lpt)\d+", name)):
+    if title != "KRL" and (is_reserved or _NO_FILE.fullmatch(lower) or re.fullmatch(r"sc[A-Z_].*", name)):
         raise UsageError(f"--name {name} is reserved in {title} or in the exported program; choose another name")
 
 

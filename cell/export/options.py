@@ -68,6 +68,14 @@ class ExportOptions(CurrentFiles):
                 )
 
     @model_validator(mode="after")
+    def _require_a_percent(self) -> Self:
+        for name in ("speed", "acceleration"):
+            share = getattr(self, name)
+            if share is not None and share < 0.01:
+                raise ValueError(f".{name} is {share:g}; it must be at least 0.01: programs have whole percent")
+        return self
+
+    @model_validator(mode="after")
     def _require_distinct_outputs(self) -> Self:
         if self.gate_output == self.trigger_output:
             raise ValueError(f".gate_output is {self.gate_output}, as is the trigger output; give two outputs")

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from cell.export.program import Program
 from cell.robot.model import mesh_of
 from cell.runs.folder import SCHEMA
 from cell.runs.run import Run
@@ -23,14 +24,15 @@ _NANO = 10**9
 _EFFORT = "1000"  # URDF requires a limit of torque; no maker states one
 
 
-def files(name: str, run: Run) -> dict[str, bytes]:
+def files(program: Program, run: Run) -> dict[str, bytes]:
     """Return the files of the motion and the cell of a run."""
-    model = run.cell_model()
-    meshes, urdf = _urdf(name, model, run)
-    return {f"{name}_trajectory.json": _trajectory(name, run, run.joint_names()), f"{name}.urdf": urdf, **meshes}
+    name = program.info.name
+    meshes, urdf = _urdf(name, run.cell_model(), run)
+    return {f"{name}_trajectory.json": _trajectory(program, run), f"{name}.urdf": urdf, **meshes}
 
 
-def _trajectory(name: str, run: Run, joint_names: list[str]) -> bytes:
+def _trajectory(program: Program, run: Run) -> bytes:
+    """Return the samples of the motion, with the number of each view, from 1 in visiting order, and its time."""
     motion = run.motion
     points = [
         {
@@ -46,15 +48,13 @@ def _trajectory(name: str, run: Run, joint_names: list[str]) -> bytes:
     ]
     content = {
         "schema": SCHEMA,
-        "name": name,
+        "name": program.info.name,
         "digest": run.digest,
         "views": [
-            {"view": int(view), "time_s": float(t)}
-            for view, t in zip(motion.view, motion.via_t, strict=True)
-            if view >= 0
+            {"view": int(view), "time_s": float(t)} for view, t in zip(program.view, program.t, strict=True) if view
         ],
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "base"},
-        "joint_names": joint_names,
+        "joint_names": run.joint_names(),
         "points": points,
     }
     return (json.dumps(content, allow_nan=False) + "\n").encode()

@@ -23,7 +23,7 @@ from cell.inspect.measured import Cells, MeasuredFeature, MeasuredPatch, off_sur
 from planner.fitting.extremal import FULL_STEPS, Criterion, fit_extremal, surround
 from planner.fitting.shapes import N_COMPONENTS, PARAMETERS, Shape, ShapeKind
 from planner.geometry.closest import ClosestPointQuery
-from planner.registration.rigid import transform_points
+from planner.registration.rigid import motion_from_vector, transform_points
 from planner.values import Floats, Ints
 
 RULE = "ISO 14253-1, guard band U (k = 2)"
@@ -400,7 +400,7 @@ class Evaluation:
                 return np.array([np.arccos(np.clip(sign * s[own].axis @ s[other].axis, -1, 1))])
 
             return _Model(angle, _first, "angle of least-squares elements")
-        kinds = [self.features[key[0]].feature.kind.replace("width", "plane") for key in (own, other)]
+        kinds = [self._patch(key).patch.kind for key in (own, other)]
 
         def distance(s: Shapes) -> Floats:
             first, second = s[own].at_foot(one.point), s[other].at_foot(two.point)
@@ -524,8 +524,6 @@ class Evaluation:
 
     def _own_fit(self, keys: Sequence[tuple[str, int]], points: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return the best fit (4, 4) of cells to their nominal surfaces, and the projection of their errors."""
-        from planner.registration.rigid import motion_from_vector
-
         T, every = np.eye(4), np.concatenate(points)
         normals = np.concatenate([self._cells(key).normals[self._cells(key).is_dense] for key in keys])
         centre = every.mean(axis=0)

@@ -73,7 +73,7 @@ class Feature(JsonTable):
         return str(self.kind)
 
 
-class Characteristic(JsonTable):
+class TolerancedCharacteristic(JsonTable):
     """A characteristic of a feature, with limits on its value in mm, or in deg for an angle."""
 
     id: int = Field(description="number from 1")
@@ -85,15 +85,10 @@ class Characteristic(JsonTable):
     lower: float | None = Field(description="smallest conforming value; null: no limit")
     upper: float | None = Field(description="largest conforming value; null: no limit")
     datums: tuple[str, ...] = Field(description="in their order of precedence; A-B is a common datum")
-    to: str | None = Field(description="other feature of a distance or angle")
-    criterion: Literal["least-squares", "circumscribed", "inscribed"] = Field(description="of a size")
-    zone: Literal["planar", "cylindrical"] | None = Field(description="shape of the zone of a position or orientation")
-    source_id: str | None = Field(description="id in the QIF file")
-    note: str = Field(default="", description="deviation from the standard in its evaluation")
 
     @property
     def tolerance(self) -> float | None:
-        """Width between the limits, or of the zone; None without tolerance."""
+        """Width between two limits, or of the zone; None without one."""
         if self.upper is None:
             return None
         if self.kind not in LIMITED:
@@ -106,11 +101,19 @@ class Characteristic(JsonTable):
         datums = f" {'|'.join(self.datums)}" if self.datums else ""
         if self.kind not in LIMITED:
             return ("measured only" if self.upper is None else f"{self.upper:.6g} {self.unit}") + datums
-        limits = [f"{each:+.6g}" for each in (self._off(self.lower), self._off(self.upper)) if each is not None]
-        return f"{self.nominal:.6g} {'/'.join(limits) or '(measured only)'} {self.unit}"
+        off = [round(limit - self.nominal, 9) + 0.0 for limit in (self.lower, self.upper) if limit is not None]
+        limits = "/".join(f"{each:+.6g}" for each in off) or "(measured only)"
+        return f"{self.nominal:.6g} {limits} {self.unit}"
 
-    def _off(self, limit: float | None) -> float | None:
-        return None if limit is None else round(limit - self.nominal, 9) + 0.0
+
+class Characteristic(TolerancedCharacteristic):
+    """A characteristic with its evaluation."""
+
+    to: str | None = Field(description="other feature of a distance or angle")
+    criterion: Literal["least-squares", "circumscribed", "inscribed"] = Field(description="of a size")
+    zone: Literal["planar", "cylindrical"] | None = Field(description="shape of the zone of a position or orientation")
+    source_id: str | None = Field(description="id in the QIF file")
+    note: str = Field(default="", description="deviation from the standard in its evaluation")
 
 
 class InspectionPlan(JsonTable):

@@ -11,7 +11,7 @@ from cell.errors import SceneError
 from cell.files import read_bytes
 from cell.inspect import pictures, qif
 from cell.inspect.alignment import fit_reference_points
-from cell.inspect.artefacts import FEATURES, PAGE, POINTS, QIF_RESULTS, RESULTS, TABLE
+from cell.inspect.artefacts import FEATURES, PAGE, POINTS, QIF_RESULTS, QIF_SOURCE, RESULTS, TABLE
 from cell.inspect.evaluation import Evaluation, Measurement
 from cell.inspect.features import InspectionPlan, resolve_features
 from cell.inspect.measured import Association, MeasuredFeature, MeasuredPoints, measure_features
@@ -104,6 +104,11 @@ def with_feature_regions(scene: Scene, part: Workpiece) -> tuple[Scene, str]:
 def read_plan(run: Run) -> InspectionPlan | None:
     """Return the features and characteristics of a run; None without them."""
     return parsed(InspectionPlan, run.artefact(FEATURES), run.folder / FEATURES) if run.has(FEATURES) else None
+
+
+def qif_of_run(run: Run) -> bytes | None:
+    """Return the QIF file of a run; None without one."""
+    return run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None
 
 
 def qif_source(scene: Scene) -> bytes | None:

@@ -211,15 +211,13 @@ class Association:
         vertices = self.reference.vertices[np.unique(self.reference.faces[surface.triangles])]
         if shape is None or shape.kind is ShapeKind.SPHERE:
             return vertices.mean(axis=0)[None] if shape is None else shape.point[None]
-        low, high = (
-            ((vertices - shape.point) @ shape.frame).min(axis=0),
-            ((vertices - shape.point) @ shape.frame).max(axis=0),
-        )
+        local = (vertices - shape.point) @ shape.frame
+        low, high = local.min(axis=0), local.max(axis=0)
         if shape.kind is ShapeKind.PLANE:
-            local = [(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])]
+            corners = [(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])]
         else:
-            local = [(0.0, 0.0, low[2]), (0.0, 0.0, high[2])]
-        return np.asarray(shape.point + np.array(local) @ shape.frame.T)
+            corners = [(0.0, 0.0, low[2]), (0.0, 0.0, high[2])]
+        return np.asarray(shape.point + np.array(corners) @ shape.frame.T)
 
 
 def measure_features(association: Association, measured: MeasuredPoints) -> dict[str, MeasuredFeature]:
@@ -252,7 +250,7 @@ def measure_patch(
     if len(rows) > MAX_POINTS:
         rows = rows[np.linspace(0, len(rows) - 1, MAX_POINTS).astype(np.int64)]
     needed = 1 if shape is None else MIN_POINTS[shape.kind]
-    if len(rows) < max(needed, 1):
+    if len(rows) < needed:
         word = "no point lies" if not len(rows) else f"only {len(rows)} points lie"
         return MeasuredPatch(patch, None, None, corners, doubts=(f"{word} on it",))
     area = float(association.reference.areas[surface.triangles].sum())
@@ -328,7 +326,10 @@ def _inliers(residuals: Floats) -> Bools:
 
 
 def _share(association: Association, surface: PatchSurface, points: Floats) -> float:
-    """Return the share of the area of a patch near points: within a tenth of its width, or its middle triangles."""
+    """Return the share of the area of a patch whose triangles have a point near.
+
+    A point is near a triangle's centre within a quarter of the patch's width, or the root of the triangle's area.
+    """
     mesh = association.reference
     centres, areas = mesh.centres[surface.triangles], mesh.areas[surface.triangles]
     reach = np.maximum(surface.width / 4, np.sqrt(areas))

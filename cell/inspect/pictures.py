@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.inspect.features import InspectionPlan
 from cell.inspect.measured import MeasuredFeature
-from cell.inspect.results import InspectionResult, table_rows, tolerance_text
+from cell.inspect.results import InspectionResult, table_rows
 from cell.view.packed import Layer, quantised_layer
 from cell.view.palette import VERDICTS, rgb
 from cell.view.part_page import draw_numbered, selectable_page, split_vertices
@@ -55,7 +55,7 @@ def features_page(
             if each.feature == feature.name:
                 value = each.cause or f"{each.value:.4f} ± {each.expanded_uncertainty:.4f} {each.unit}: {each.verdict}"
                 value += f" ({each.note})" if each.note else ""
-                rows.append((f"{each.name} ({each.kind})", f"{tolerance_text(each)} → {value}"))
+                rows.append((f"{each.name} ({each.kind})", f"{each.tolerance_text} → {value}"))
         items.append({"number": number, "rows": rows})
     source = "simulated points" if result.is_simulated else result.source
     rows = [("characteristics", result.summary), ("points", source), ("rule", result.rule)]
@@ -121,7 +121,7 @@ def report_pdf(path: Path, picture: Path, result: InspectionResult) -> None:
     lines = [line for each in [*words, *sentences] for line in textwrap.wrap(each, _PDF_WIDTH)]
     with PdfPages(path, metadata={"CreationDate": None, "Title": f"Inspection of {result.part}"}) as pdf:
         figure = Figure(figsize=_A4)
-        figure.text(0.05, 0.94, f"Inspection of {result.part}", size=16)
+        figure.text(0.05, 0.94, f"Inspection of {result.part}", size=16, parse_math=False)  # names may contain $
         axes = figure.add_axes((0.05, 0.05, 0.9, 0.85))
         axes.imshow(Image.open(picture))
         axes.axis("off")
@@ -135,10 +135,12 @@ def report_pdf(path: Path, picture: Path, result: InspectionResult) -> None:
             table.set_fontsize(8)
             table.auto_set_column_width(list(range(len(heading))))
             for (row, column), cell in table.get_celld().items():
+                cell.get_text().set_parse_math(False)
                 if row and column == len(heading) - 1:
                     cell.set_facecolor(VERDICTS.get(cell.get_text().get_text(), "white") + "60")
             FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]
         for start in range(0, len(lines), _PDF_LINES):
             figure = Figure(figsize=_A4)
-            figure.text(0.05, 0.95, "\n".join(lines[start : start + _PDF_LINES]), size=9, va="top")
+            text = "\n".join(lines[start : start + _PDF_LINES])
+            figure.text(0.05, 0.95, text, size=9, va="top", parse_math=False)
             FigureCanvasPdf(figure).print_pdf(pdf)  # type: ignore[no-untyped-call]

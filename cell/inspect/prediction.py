@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cell.inspect.evaluation import Evaluation, Measurement, Verdict
+from cell.inspect.evaluation import Evaluation, Measurement
 from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, PatchSurface
 from cell.inspect.measured import (
     MAX_POINTS,
@@ -179,9 +179,7 @@ def predicted_measurements(
             if measurement.pose_share > MAIN:
                 source = f"{measurement.pose_share:.0%} of the variance is from pose errors"
             causes.append("; ".join(filter(None, [text, source])))
-        verdict = Verdict.NOT_MEASURED if uncertainty is None else measurement.verdict
-        cause = "; ".join(dict.fromkeys(causes))
-        measurements.append(replace(measurement, verdict=verdict, cause=cause))
+        measurements.append(replace(measurement, cause="; ".join(dict.fromkeys(causes))))
     return measurements
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from cell.errors import FileError
@@ -27,12 +28,14 @@ from planner.values import Floats
 
 _NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
 _NAME = 60  # characters; longer names are cut
-_LENGTHS = {
+LENGTHS = {
     "m": 1.0, "meter": 1.0, "metre": 1.0, "cm": 1e-2, "centimeter": 1e-2, "centimetre": 1e-2, "mm": 1e-3,
     "millimeter": 1e-3, "millimetre": 1e-3, "um": 1e-6, "micrometer": 1e-6, "micrometre": 1e-6, "in": 0.0254,
     "inch": 0.0254,
-}  # fmt: skip  # factors of units that a file names without a conversion
-_ANGLES = {"rad": 1.0, "radian": 1.0, "deg": np.pi / 180, "degree": np.pi / 180}
+}  # fmt: skip
+ANGLES = {"rad": 1.0, "radian": 1.0, "deg": np.pi / 180, "degree": np.pi / 180}
+"""Factors to metres and radians of units that a file names without a conversion."""
+
 _SURFACES = {
     "Plane23": SurfaceKind.PLANE,
     "Cylinder23": SurfaceKind.CYLINDER,
@@ -104,12 +107,15 @@ def read_qif(path: Path, part: Workpiece) -> QifContent:
     """Read features and characteristics of a QIF file for a part with CAD faces.
 
     Raises:
-        FileError: if the file is no QIF 3 file, or the part is a mesh.
+        FileError: if the file is no QIF 3 file, has results, or the part is a mesh.
     """
     if part.cad is None:
         raise FileError(f"{path} names CAD faces, and {part.name} is a mesh; give the part as STEP")
+    root = parse(path)
+    if root.find("Results") is not None:
+        raise FileError(f"{path} has results, and inspections add their own; give the file without results")
     try:
-        return _Reader(parse(path), part, part.cad).read()
+        return _Reader(root, part, part.cad).read()
     except _UnsupportedError as error:
         raise FileError(f"{path} cannot be read: {error}; export it again") from error
 
@@ -155,7 +161,7 @@ class _Reader:
                 self._add_characteristic(kind, name, nominal)
             except _UnsupportedError as error:
                 content.unsupported.append(f"{name} ({kind}): {error}")
-        content.features += [self._checked(table) for table in self._tables.values()]
+        content.features += [FeatureTable.model_validate(table) for table in self._tables.values()]
         if not content.features and self._faces.has_unknown:
             content.notes.append(
                 "no face of the file is a face of the part: it is the file of another part, or its model has another "
@@ -169,14 +175,11 @@ class _Reader:
             )
         return content
 
-    def _checked(self, table: dict[str, object]) -> FeatureTable:
-        return FeatureTable.model_validate(table)
-
     def _units(self, tag: str) -> tuple[dict[str, float], str]:
         """Return the factor of each unit to metres, and the name of the primary unit."""
         factors: dict[str, float] = {}
         for unit in self._root.iterfind(f"FileUnits//{tag}"):
-            factors[unit.findtext("UnitName") or ""] = self._factor(unit, _LENGTHS if tag == "LinearUnit" else _ANGLES)
+            factors[unit.findtext("UnitName") or ""] = self._factor(unit, LENGTHS if tag == "LinearUnit" else ANGLES)
         primary = self._root.findtext(f"FileUnits/PrimaryUnits/{tag}/UnitName") or ""
         return factors, primary
 
@@ -212,7 +215,7 @@ class _Reader:
 
     def _angle_deg(self, element: ElementTree.Element) -> float:
         unit = element.get("angularUnit") or self._primary_angle
-        factor = self._angular.get(unit, _ANGLES.get(unit))
+        factor = self._angular.get(unit, ANGLES.get(unit))
         if factor is None:
             raise _UnsupportedError(f"the file does not define the unit '{unit}'")
         return round(float(np.degrees(_number(element.text, "value") * factor)), 9)
@@ -297,7 +300,7 @@ class _Reader:
         if target is not None:
             content["nominal"] = measure(target)
         low, high = definition.find("Tolerance/MinValue"), definition.find("Tolerance/MaxValue")
-        absolute = definition.findtext("Tolerance/DefinedAsLimit") == "true"
+        absolute = (definition.findtext("Tolerance/DefinedAsLimit") or "").strip() in ("true", "1")
         if absolute and target is None:
             raise _UnsupportedError("its limits have no nominal value")
         base = float(str(content.get("nominal", 0.0))) if absolute else 0.0
@@ -342,14 +345,19 @@ class _FaceFinder:
         self, by_id: dict[str | None, ElementTree.Element], metres: float, part: Workpiece, cad: CadModel
     ) -> None:
         self._by_id, self._cad, self._mesh, self._metres = by_id, cad, part.reference, metres
+        self._surfaces: dict[int, tuple[NDArray[np.int32], Floats, Floats]] = {}
         self._queries: dict[int, ClosestPointQuery] = {}
+        self._matches: dict[str, list[int]] = {}
         self.has_unknown = False  # whether a face of the file was no face of the part
 
     def numbers(self, ids: Sequence[str]) -> tuple[int, ...]:
         """Return the numbers of the CAD faces of QIF faces, ascending."""
         if not ids:
             raise _UnsupportedError("its feature names no face of the model")
-        return tuple(sorted({number for each in ids for number in self._matching(each)}))
+        for each in ids:
+            if each not in self._matches:
+                self._matches[each] = self._matching(each)
+        return tuple(sorted({number for each in ids for number in self._matches[each]}))
 
     def groups(self, numbers: Sequence[int]) -> list[tuple[tuple[int, ...], str]]:
         """Return faces on the same surface together, with the kind of the surface."""
@@ -383,17 +391,21 @@ class _FaceFinder:
 
     def _contains(self, index: int, points: Floats) -> bool:
         """Return whether all points (N, 3) lie on a CAD face."""
-        faces = self._mesh.faces[self._cad.of_triangle == index]
-        corners = self._mesh.vertices[faces].reshape(-1, 3)
-        if (
-            not len(faces)
-            or (points < corners.min(axis=0) - _NEAR).any()
-            or (points > corners.max(axis=0) + _NEAR).any()
-        ):
+        faces, low, high = self._surface(index)
+        if (points < low - _NEAR).any() or (points > high + _NEAR).any():
             return False
         if index not in self._queries:
             self._queries[index] = ClosestPointQuery(TriangleMesh(self._mesh.vertices, faces))
         return bool((self._queries[index].closest(points).distance < _NEAR).all())
+
+    def _surface(self, index: int) -> tuple[NDArray[np.int32], Floats, Floats]:
+        """Return the triangles (F, 3) of a CAD face, and the lowest and the highest corner (3,) of their box [m]."""
+        if index not in self._surfaces:
+            faces = self._mesh.faces[self._cad.of_triangle == index]
+            corners = self._mesh.vertices[faces].reshape(-1, 3)
+            low, high = corners.min(axis=0, initial=np.inf), corners.max(axis=0, initial=-np.inf)
+            self._surfaces[index] = faces, low, high
+        return self._surfaces[index]
 
     def _corners(self, face: ElementTree.Element) -> Floats:
         """Return the corners (N, 3) of a face [m]."""

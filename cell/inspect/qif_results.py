@@ -1,15 +1,18 @@
 """Results in QIF 3: the QIF file of the characteristics with items and measurements added.
 
 Each evaluated characteristic becomes an item that refers to its nominal characteristic, and a measurement of the item.
-Its combined uncertainty is U / 2. Lengths are in millimetres, angles in the file's unit of angle.
+Its combined uncertainty is U / 2. Lengths are in millimetres if the file defines this unit, else in its primary unit;
+angles are in its primary unit.
 """
 
 import uuid
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
 
 from cell.errors import FileError
+from cell.inspect.qif import ANGLES, LENGTHS
 from cell.inspect.qif_document import NAMESPACE, number_text
 from cell.inspect.results import InspectionResult, MeasuredCharacteristic
 
@@ -36,7 +39,7 @@ def qif_results(source: bytes, result: InspectionResult) -> bytes:
     nominals = {each.get("id"): each for each in root.iterfind(".//" + _tag("CharacteristicNominals") + "/*")}
     measured = [each for each in result.characteristics if each.source_id in nominals]
     number = max(int(each.get("id") or 0) for each in root.iter() if (each.get("id") or "").isdigit())
-    angle = _angle_factor(root)
+    length, angle = _length_unit(root), _factor(np.pi / 180, root, ("PMIAngularUnit", "AngularUnit"), ANGLES)
     aspects = root.find(_tag("Characteristics"))
     if aspects is None or not measured:
         raise FileError("the QIF file has no characteristic with results")
@@ -59,7 +62,7 @@ def qif_results(source: bytes, result: InspectionResult) -> bytes:
         measurement = _add(list_, f"{kind}CharacteristicMeasurement", id=str(number + 2))
         _add(_add(measurement, "Status"), "CharacteristicStatusEnum").text = _STATUS[each.verdict]
         _add(measurement, "CharacteristicItemId").text = str(number + 1)
-        _add_value(measurement, each, angle)
+        _add_value(measurement, each, *(length if each.unit == "mm" else (angle, {})))
         number += 2
     verdicts = {each.verdict for each in measured}
     overall = "FAIL" if "fail" in verdicts else "PASS" if verdicts <= {"pass", "no tolerance"} else "UNKNOWN"
@@ -93,22 +96,30 @@ def _note(parent: ElementTree.Element, result: InspectionResult) -> None:
         _add(attributes, "AttributeStr", name=name, value=value)
 
 
-def _add_value(parent: ElementTree.Element, each: MeasuredCharacteristic, angle: float) -> None:
+def _add_value(parent: ElementTree.Element, each: MeasuredCharacteristic, factor: float, unit: dict[str, str]) -> None:
+    """Add the value times a factor, with its uncertainty and the attributes of its unit."""
     if each.value is None:
         return
-    factor, uncertainty = (1.0, {"linearUnit": "mm"}) if each.unit == "mm" else (angle, {})
+    uncertainty = {}
     if each.expanded_uncertainty is not None:
         half = factor * each.expanded_uncertainty / 2
-        uncertainty |= {"combinedUncertainty": number_text(half), "meanError": "0"}
-    _add(parent, "Value", **uncertainty).text = number_text(factor * each.value)
+        uncertainty = {"combinedUncertainty": number_text(half), "meanError": "0"}
+    _add(parent, "Value", **unit, **uncertainty).text = number_text(factor * each.value)
 
 
-def _angle_factor(root: ElementTree.Element) -> float:
-    """Return the file's units of angle in a degree."""
-    units = root.find(_tag("FileUnits") + "/" + _tag("PrimaryUnits"))
-    for name in ("PMIAngularUnit", "AngularUnit"):
-        unit = None if units is None else units.find(_tag(name))
+def _length_unit(root: ElementTree.Element) -> tuple[float, dict[str, str]]:
+    """Return the number of a unit of length in a millimetre, and the attributes that name it."""
+    units = root.iterfind(f"{_tag('FileUnits')}//{_tag('LinearUnit')}")
+    if any(unit.findtext(_tag("UnitName")) == "mm" for unit in units):
+        return 1.0, {"linearUnit": "mm"}
+    return _factor(1e-3, root, ("LinearUnit",), LENGTHS), {}
+
+
+def _factor(size: float, root: ElementTree.Element, tags: Sequence[str], known: Mapping[str, float]) -> float:
+    """Return the number of the file's primary units in a size [m or rad]; the first of the tags that it has counts."""
+    for tag in tags:
+        unit = root.find("/".join(map(_tag, ("FileUnits", "PrimaryUnits", tag))))
         if unit is not None:
             factor = unit.findtext(_tag("UnitConversion") + "/" + _tag("Factor"))
-            return float(np.radians(1.0) / float(factor or 1.0))
-    return float(np.radians(1.0))
+            return size / (float(factor) if factor else known.get(unit.findtext(_tag("UnitName")) or "", 1.0))
+    return size

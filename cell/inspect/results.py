@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cell.inspect.evaluation import RULE, Measurement
-from cell.inspect.features import InspectionPlan
+from cell.inspect.features import InspectionPlan, TolerancedCharacteristic
 from cell.inspect.measured import MeasuredFeature, MeasuredPatch
 from cell.runs.schema import JsonTable, Triple
 from planner.fitting.shapes import ShapeKind
@@ -25,18 +25,9 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-class MeasuredCharacteristic(JsonTable):
+class MeasuredCharacteristic(TolerancedCharacteristic):
     """Measured value of a characteristic in its unit."""
 
-    id: int
-    name: str
-    feature: str = Field(description="name of its feature")
-    kind: str
-    unit: Literal["mm", "deg"]
-    nominal: float
-    lower: float | None = Field(description="smallest conforming value; null: no limit")
-    upper: float | None = Field(description="largest conforming value; null: no limit")
-    datums: tuple[str, ...]
     value: float | None = Field(description="null if it is not measured")
     deviation: float | None = Field(description="value minus nominal value")
     expanded_uncertainty: float | None = Field(description="U, k = 2")
@@ -49,10 +40,9 @@ class MeasuredCharacteristic(JsonTable):
     @property
     def u_over_t(self) -> float | None:
         """Expanded uncertainty as a share of the tolerance; None without either."""
-        limits = self.upper, (self.lower if self.lower is not None else 0.0)
-        if self.expanded_uncertainty is None or limits[0] is None or limits[1] is None:
+        if self.expanded_uncertainty is None or not self.tolerance:
             return None
-        return self.expanded_uncertainty / (limits[0] - limits[1])
+        return self.expanded_uncertainty / self.tolerance
 
 
 class MeasuredElement(JsonTable):
@@ -228,7 +218,7 @@ def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
     for each in result.characteristics:
         ratio = each.u_over_t
         cells = [
-            str(each.id), f"{each.name} ({each.kind})", each.feature, tolerance_text(each),
+            str(each.id), f"{each.name} ({each.kind})", each.feature, each.tolerance_text,
             "-" if each.value is None else f"{each.value:.4f} {each.unit}",
             "-" if each.expanded_uncertainty is None else f"{each.expanded_uncertainty:.4f} {each.unit}",
             "-" if ratio is None else f"{ratio:.3f}",
@@ -239,15 +229,6 @@ def table_rows(result: InspectionResult) -> tuple[list[str], list[list[str]]]:
             cells[4] = f"{max(own):.2f} mm" if own else "-"
         rows.append(cells)
     return heading, rows
-
-
-def tolerance_text(each: MeasuredCharacteristic) -> str:
-    """Return limits and datums in words."""
-    datums = f" {'|'.join(each.datums)}" if each.datums else ""
-    if each.kind in ("size", "distance", "angle"):
-        limits = [f"{limit - each.nominal:+.6g}" for limit in (each.lower, each.upper) if limit is not None]
-        return f"{each.nominal:.6g} {'/'.join(limits) or '(measured only)'} {each.unit}"
-    return ("measured only" if each.upper is None else f"{each.upper:.6g} {each.unit}") + datums
 
 
 def markdown(result: InspectionResult) -> list[str]:

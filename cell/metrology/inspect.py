@@ -8,16 +8,15 @@ import numpy as np
 
 from cell.errors import FileError, UsageError, errors_as
 from cell.files import atomic_write, file_errors
-from cell.inspect.artefacts import QIF_SOURCE
 from cell.inspect.features import InspectionPlan
-from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_source, read_plan
+from cell.inspect.inspection import Inspected, inspect_points, plan_inspection, qif_of_run, qif_source, read_plan
 from cell.inspect.measured import MeasuredPoints
 from cell.metrology import point_files
 from cell.metrology.options import InspectOptions
 from cell.part import mesh_files, workpiece
 from cell.part.ply_elements import PlyError, read_elements
 from cell.part.workpiece import UNITS
-from cell.runs.run import EXECUTIONS, RecordedExecution, Run, open_finished, read_execution
+from cell.runs.run import RecordedExecution, Run, execution_of, open_finished, read_execution
 from cell.scene.model import Scene
 from cell.session import ProgressReporter, Stream, random_stream
 from planner.errors import PlannerError
@@ -43,7 +42,7 @@ def inspect(
     Args:
         source: file of points or a mesh, or folder of an execution.
         scene: with the part and its characteristics; None takes those of the run of an execution.
-        options: of the points.
+        options: of the points of a file.
         reporter: of the progress.
         out: folder of the results; None makes one below sim_runs/.
 
@@ -53,10 +52,16 @@ def inspect(
     Raises:
         CellError: with an exit code.
     """
-    is_execution = source.is_dir()
-    if is_execution and source.parent.name != EXECUTIONS:
-        raise FileError(f"{source} is no folder of an execution; give executions/<id> of a run, or a file")
-    run = open_finished(source.parent.parent) if is_execution else None
+    run, execution = None, ""
+    if source.is_dir():
+        if (found := execution_of(source)) is None:
+            raise FileError(f"{source} is no folder of an execution; give executions/<id> of a run, or a file")
+        if options != InspectOptions():
+            raise UsageError(
+                f"--points-units, --search and --point-sd are for points of a file, and {source} is an execution with "
+                "a unit, a place and errors of its own; omit them"
+            )
+        run, execution = open_finished(found[0]), found[1]
     with reporter.stage("read the characteristics"):
         plan, reference, qif, name = _characteristics(run, scene)
     with reporter.stage("read the points"):
@@ -72,7 +77,7 @@ def inspect(
                 T_located=T_located,
             )  # fmt: skip
         else:
-            outcome = inspect_execution(plan, reference, run, read_execution(run, source.name))
+            outcome = inspect_execution(plan, reference, run, read_execution(run, execution))
         for each in outcome.result.characteristics:
             if "nearly not determined" in each.note:
                 reporter.note(f"{each.name}: {each.note}")
@@ -116,7 +121,7 @@ def _characteristics(run: Run | None, scene: Scene | None) -> tuple[InspectionPl
     plan = read_plan(run)
     if plan is None:
         raise UsageError(f"{run.folder} was planned without characteristics; give --part and --qif, or --scene")
-    return plan, run.reference, run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None, run.scene.part.name
+    return plan, run.reference, qif_of_run(run), run.scene.part.name
 
 
 def inspect_execution(

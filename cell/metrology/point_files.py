@@ -26,6 +26,8 @@ from planner.values import Floats
 _TEXTS = (".xyz", ".txt", ".csv", ".asc", ".pts")
 SUFFIXES = (".ply", ".pcd", *_TEXTS, *scan_files.SUFFIXES)
 
+_PCD_FORMS = ("f2", "f4", "f8", *(f"{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)))
+
 
 def read(path: Path) -> Floats:
     """Read the points (P, 3) of a file, in its own unit and frame; those of all its scans, by their poses.
@@ -124,15 +126,16 @@ def _pcd(content: bytes) -> Floats:
         grid = [int(header[key][0]) for key in ("WIDTH", "HEIGHT") if key in header]
     except (KeyError, ValueError, IndexError) as error:
         raise _PcdError(
-            "has a header without FIELDS, SIZE and TYPE of equal length, or POINTS; export it again"
+            "has a header without valid FIELDS, SIZE and TYPE of equal length, or POINTS; export it again"
         ) from error
     if len(grid) == 2 and grid[0] * grid[1] != count:
         raise _PcdError(f"announces {count} points but WIDTH {grid[0]} and HEIGHT {grid[1]}; export it again")
-    if any(axis not in [name for name, _, _ in columns] for axis in "xyz"):
-        raise _PcdError(f"has no x, y and z; its fields are {', '.join(name for name, _, _ in columns)}")
+    if any(axis not in [name for name, _, length in columns if length == 1] for axis in "xyz"):
+        fields = ", ".join(f"{name} ({length})" if length != 1 else name for name, _, length in columns)
+        raise _PcdError(f"has no x, y and z; its fields are {fields}")
     body, kind = content[end.end() :], end[1].lower()
     if kind == b"ascii":
-        return _pcd_text(decode(body), columns, count)
+        return _pcd_text(body.decode("latin-1"), columns, count)  # numbers are ASCII
     if kind not in (b"binary", b"binary_compressed"):
         raise _PcdError(f"has the data '{kind.decode()}', which is not supported; write ascii or binary")
     width = sum(length * int(form[1:]) for _, form, length in columns)
@@ -142,6 +145,8 @@ def _pcd(content: bytes) -> Floats:
         raise _PcdError(f"ends before its {count} points; it is cut short, export or copy it again")
     if kind == b"binary" and len(body) - width * count >= max(width, 1):
         raise _PcdError(f"has {len(body) - width * count} bytes behind its {count} points; correct its header")
+    if not count:
+        return np.empty((0, 3))
     # Packed data are stored column by column, plain data row by row.
     found, at = {}, 0
     for name, form, length in columns:
@@ -158,7 +163,7 @@ def _pcd_columns(header: dict[str, list[str]]) -> tuple[list[tuple[str, str, int
     names = [name.lower() for name in header["FIELDS"]]
     lengths = [int(length) for length in header.get("COUNT", ["1"] * len(names))]
     forms = [kind.lower() + str(int(size)) for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
-    if any(form[0] not in "fiu" or int(form[1:]) not in (1, 2, 4, 8) for form in forms) or min(lengths) < 0:
+    if any(form not in _PCD_FORMS for form in forms) or min(lengths) < 0:
         raise ValueError
     count = int(header["POINTS"][0]) if "POINTS" in header else int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
     if count < 0:

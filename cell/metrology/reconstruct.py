@@ -64,8 +64,8 @@ class Reconstruction(Value):
         outliers: number of points excluded because they are isolated or off their neighbours' surface.
         holes: number of open boundary loops of the measured surface (closed ones included).
         noise: robust standard deviation of the points from the plane of their neighbours [m], including curvature and
-            edges; NaN without a grid.
-        extent: diagonal of the box round the points [m]; NaN without a grid.
+            edges; NaN without a mesh.
+        extent: diagonal of the box round the points [m]; NaN without a mesh.
         cloud: the points without the outliers.
     """
 

@@ -9,6 +9,7 @@ without an echo.
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -157,7 +158,9 @@ def _read_ptx(path: Path) -> list[PosedScan]:
         columns, rows = int(line), int(next(lines))
         header = [np.array(next(lines).split(), dtype=np.float64) for _ in range(8)]
         T = np.stack(header[4:]).T
-        words = [next(lines).split() for _ in range(columns * rows)]
+        words = [point.split() for point in islice(lines, columns * rows)]
+        if len(words) < columns * rows or any(len(row) < 4 for row in words):
+            raise ValueError("it is cut short, or a point has not x, y, z and intensity")
         table = np.array([row[:4] for row in words], dtype=np.float64).reshape(-1, 4)
         table = table[table[:, :3].any(axis=1)]
         scans.append(PosedScan(table[:, :3], T, table[:, 3]))

@@ -6,7 +6,7 @@ Coverage of both runs is evaluated on the held-out samples of the first. Object 
 """
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cell.errors import FileError, UsageError
 from cell.runs.cell import RunCell, read_cell
-from cell.runs.run import EXECUTIONS, Execution, Run, open_finished, read_execution, reading
+from cell.runs.run import Execution, Run, execution_of, open_finished, read_execution, reading
 from cell.runs.schema import JsonTable, optional
 from cell.session import ProgressReporter
 from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
@@ -144,19 +144,19 @@ class Side(Value):
 
 def read_side(folder: Path) -> Side:
     """Read the folder of a plan or of an execution."""
-    if folder.parent.name != EXECUTIONS:
+    if (execution := execution_of(folder)) is None:
         run = open_finished(folder)
         poses = np.stack([view.T_object_poses for view in run.plan.views])
         return Side(folder, run, None, np.arange(1, len(poses) + 1), poses)
-    run = open_finished(folder.parent.parent)
-    recorded = read_execution(run, folder.name)
+    run = open_finished(execution[0])
+    recorded = read_execution(run, execution[1])
     if not recorded.scans:
         raise FileError(f"{folder} has no readable scan; give another execution")
     number = np.array([scan.stop for scan in recorded.scans])
     with reading(folder / "scans"):
         poses = np.stack([scan.T_reported_poses for scan in recorded.scans])
     order = np.argsort(number)
-    return Side(folder, run, Execution.open(folder), number[order], poses[order])
+    return Side(recorded.folder, run, Execution.open(recorded.folder), number[order], poses[order])
 
 
 def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None = None) -> Difference:
@@ -187,7 +187,8 @@ def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None 
         samples = held_out_samples(cells[0].reference, cells[0].planning, A.run.seed)
         by_view = [_measured(side, cell, samples) for side, cell in zip((A, B), cells, strict=True)]
         views = _views(A, B, by_view if same_part else None, samples.areas)
-        covered = [*map(_coverage_function(cells, samples), (A, B), by_view)]
+        radius = coverage.sampling_radius(cells[0].reference)
+        covered = [_covered(side, measured, samples, radius) for side, measured in zip((A, B), by_view, strict=True)]
     difference = Difference(
         a=str(a), b=str(b), kind="plan" if A.execution is None else "execution", settings=tuple(_settings(A, B)),
         views=views, surface=_surface(samples, *covered) if same_part else None, numbers=tuple(_numbers(A, B)),
@@ -203,16 +204,18 @@ def _measured(side: Side, cell: RunCell, samples: SurfaceSamples) -> Bools:
     return find_measured(side.poses, samples, cell.scanner, cell.casters, each=True)
 
 
-def _coverage_function(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[Side, Bools], Bools]:
-    """Return a function for the covered samples of a side: lines of sight of a plan, points of an execution."""
-    radius = coverage.sampling_radius(cells[0].reference)
+def _covered(side: Side, by_view: Bools, samples: SurfaceSamples, radius: float) -> Bools:
+    """Return (S,) the covered samples of a side: by lines of sight of a plan, by points of an execution.
 
-    def covered(side: Side, by_view: Bools) -> Bools:
-        if side.execution is None:
-            return np.asarray(by_view.any(axis=1))
-        return coverage.sampled_coverage(side.execution.points, samples, radius).covered
-
-    return covered
+    Args:
+        side: of the comparison.
+        by_view: (S, n) samples measured by each view.
+        samples: of the part.
+        radius: largest distance of a sample from a point [m].
+    """
+    if side.execution is None:
+        return np.asarray(by_view.any(axis=1))
+    return coverage.sampled_coverage(side.execution.points, samples, radius).covered
 
 
 def _surface(samples: SurfaceSamples, a: Bools, b: Bools) -> SurfaceDifference:

@@ -11,13 +11,14 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,8 +33,8 @@ _RAY_TRACED = ("part_and_views", "cell_with_arm")  # take as long as all others 
 class PlotProcess(PlotQueue):
     """Queue of plots that a process draws; see `plot_process`."""
 
-    def __init__(self, process: "subprocess.Popen[bytes]") -> None:
-        self._process = process
+    def __init__(self, process: "subprocess.Popen[bytes]", errors: IO[bytes]) -> None:
+        self._process, self._errors = process, errors
         self._sent: list[Path] = []
         self._waiting: SimpleQueue[bytes | None] = SimpleQueue()
         self._writer = Thread(target=self._write, name="plots", daemon=True)
@@ -65,9 +66,13 @@ class PlotProcess(PlotQueue):
     def _wait(self) -> None:
         self._waiting.put(None)
         self._writer.join()
-        _, errors = self._process.communicate()
-        if self._process.returncode:
-            raise RuntimeError(f"plots were not drawn: {errors.decode(errors='replace').strip()[-2000:]}")
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        if self._process.wait():
+            self._errors.seek(0)
+            text = self._errors.read().decode(errors="replace")
+            raise RuntimeError(f"plots were not drawn: {text.strip()[-2000:]}")
 
     def _write(self) -> None:
         """Write to the pipe: it holds less than a plot, and the process reads after drawing."""
@@ -82,10 +87,13 @@ class PlotProcess(PlotQueue):
 def plot_process() -> Iterator[PlotQueue]:
     """Start a process that draws; it ends with the block, except for plots that are begun."""
     command = python_command("from cell.report.plots import serve; serve()")
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe) as process:
+    # Messages go to a file: a full pipe would stop the process, which then would not read the next plot.
+    with (
+        tempfile.TemporaryFile() as errors,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors) as process,
+    ):
         try:
-            yield PlotProcess(process)
+            yield PlotProcess(process, errors)
         finally:
             if process.poll() is None:
                 process.kill()

@@ -409,7 +409,7 @@ def draw_deviation(path: Path, mesh: TriangleMesh, deviation: Deviation, source:
     panels[2].set(xlabel="deviation [mm]", ylabel="share of the mesh's area [%]")
     numbers = [f"{1000 * each:.3f}" for each in (deviation.rms, deviation.quantile_95, deviation.largest)]
     panels[2].set_title(f"rms {numbers[0]}, 95 % {numbers[1]}, largest {numbers[2]} mm", fontsize=9)
-    figure.suptitle(source, fontsize=9, x=0.01, ha="left")
+    figure.suptitle(source, fontsize=9, x=0.01, ha="left", parse_math=False)  # a command may contain $
     panels[2].grid(alpha=0.25)
     FigureCanvasAgg(figure)
     figure.savefig(path, format="png", metadata={"Software": "scan-cell"})

@@ -1,6 +1,6 @@
-"""Facts of a plan as the run folder's files say them, made the same way by who writes them and by who checks them.
+"""Values of a run folder that follow from scene and motion: written with a plan, recomputed by its verification.
 
-Millimetres and degrees, as the keys of the files say.
+Millimetres and degrees, as the names of the keys state.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from planner.values import Floats
 
 
 class LimitsDeg(TypedDict):
-    """The keys of scene.resolved.json that hold limits of the axes."""
+    """Keys of scene.resolved.json for the limits of the axes."""
 
     joint_limits_deg: Sequence[tuple[float, float]]
     joint_velocity_limits_deg_s: Sequence[float]
@@ -29,7 +29,7 @@ class LimitsDeg(TypedDict):
 
 
 def limits_deg(limits: JointLimits) -> LimitsDeg:
-    """Limits of the arm's axes [rad] in degrees, without the dust of the conversion."""
+    """Return the limits of the arm's axes [rad] in degrees, rounded to 1e-9."""
     lower, upper, velocity, acceleration, jerks = (
         values[:ARM_AXES] for values in (limits.lower, limits.upper, limits.velocity, limits.acceleration, limits.jerk)
     )
@@ -49,7 +49,7 @@ def resolved_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
 
 
 def resolved_robot(scene: Scene) -> ResolvedRobot | None:
-    """The robot of a scene; None: the built-in one in the origin."""
+    """Return the robot of a scene; None for the built-in one at the origin."""
     model = scene.robot.model
     if model == KR16 and scene.robot.base is None:
         return None
@@ -59,7 +59,7 @@ def resolved_robot(scene: Scene) -> ResolvedRobot | None:
 
 
 def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
-    """The rotary table of a scene; None where it has none."""
+    """Return the rotary table of a scene; None without one."""
     if world.table is None:
         return None
     fixed = {"post_mm"} if scene.table.position_mm is not None else set[str]()
@@ -69,7 +69,7 @@ def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
 
 
 class TableValues(TypedDict, total=False):
-    """The keys of a view that a rotary table adds."""
+    """Keys of a view that a rotary table adds."""
 
     e_deg: tuple[float, ...]
     T_base_object: Floats
@@ -86,8 +86,8 @@ def sweep_values(T_object_poses: Floats, path: SweepPath) -> Sweep:
     """Return the sweep of a line sensor at a view.
 
     Args:
-        T_object_poses: (K, 4, 4) of the driven set-points [m], in the column's order.
-        path: as it is driven.
+        T_object_poses: (K, 4, 4) of the driven set-points [m], in the order of the candidate's poses.
+        path: the driven line.
     """
     steady = float(path.profile.cruise)
     return Sweep(
@@ -105,12 +105,12 @@ def sweep_values(T_object_poses: Floats, path: SweepPath) -> Sweep:
 
 
 def degrees(q: Floats) -> list[float]:
-    """Set-points in degrees as the multiples of 1e-4 that they are."""
+    """Return set-points [rad] in degrees, as exact multiples of 1e-4."""
     return [float(round(value * 1e4) / 1e4) for value in np.degrees(q)]
 
 
 def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
-    """Post, pedestal and floor, in the form of the scene's fixtures."""
+    """Return post, table, pedestal and floor in the form of the scene's fixtures."""
     floor_mm = -scene.robot.pedestal_height_mm
 
     def standing(
@@ -146,7 +146,7 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
 def _fixture(fixture: Fixture, world: World) -> StandingFixture:
     if isinstance(fixture, BoxFixture | CylinderFixture):
         size_mm, pose, file, collision = list(fixture.size_mm), fixture.T, None, None
-    else:  # its file holds the triangles where the scene's pose has put them
+    else:  # its file has the triangles after the pose in the scene
         sides = np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0)
         size_mm, pose, file = [mm(side) for side in sides], np.eye(4), fixture_file(fixture.name)
         collision = world.scene.plan.collision
@@ -164,10 +164,10 @@ def _fixture(fixture: Fixture, world: World) -> StandingFixture:
 
 
 def fixture_file(name: str) -> str:
-    """The file that holds the true triangles of a mesh fixture, in the frame that it is attached to."""
+    """Return the name of the file with the triangles of a mesh fixture, in the frame that it is attached to."""
     return f"fixture_{name}.ply"
 
 
 def mm(metres: float) -> float:
-    """Millimetres without the dust of the conversion."""
+    """Return a length [m] in millimetres, rounded to 1e-9."""
     return round(float(metres) * 1000, 9)

@@ -401,6 +401,13 @@ class Run(ArtefactFolder):
             return []
         return sorted((path.name for path in root.iterdir() if path.is_dir() and path.name.isdecimal()), key=int)
 
+    def execution_manifest(self, execution: str) -> Manifest:
+        """Return the manifest of an execution, without its scans; an empty one if it is missing or damaged."""
+        try:
+            return read_manifest(self.folder / EXECUTIONS / execution / "manifest.json")
+        except FileError:
+            return Manifest()
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Execution(ArtefactFolder):
@@ -559,7 +566,7 @@ def open_run(folder: Path) -> Run:
     if not path.is_file():
         raise FileError(f"{folder} is not a run folder: it has no manifest.json; give the folder that cell plan made")
     if (folder / "setups.json").is_file():
-        runs = ", ".join(str(path) for path in sorted((folder / "setups").iterdir()))
+        runs = ", ".join(str(path) for path in sorted((folder / "setups").glob("*"))) or "none is there"
         raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
     manifest = read_manifest(path)
     schema = manifest.schema_version
@@ -575,6 +582,12 @@ def open_run(folder: Path) -> Run:
             "that cell plan made"
         )
     return Run(folder, manifest)
+
+
+def execution_of(folder: Path) -> tuple[Path, str] | None:
+    """Return the run folder and the id of an execution's folder; None for another folder."""
+    path = folder if folder.parent.name else folder.absolute()
+    return (path.parent.parent, path.name) if path.parent.name == EXECUTIONS else None
 
 
 def open_finished(folder: Path) -> Run:
@@ -611,7 +624,7 @@ def read_execution(run: Run, execution: str) -> RecordedExecution:
     recorded, path = None, folder / "motion.npz"
     if path.is_file():
         try:
-            recorded = motion_from_arrays(npz_arrays(path, path.read_bytes()), path)
+            recorded = motion_from_arrays(npz_arrays(path, file_bytes(path)), path)
         except FileError as error:
             unreadable.append(str(error))
     return RecordedExecution(folder, manifest, tuple(scans), recorded, tuple(unreadable))

@@ -137,7 +137,7 @@ class Resumption(JsonTable):
 class NamedFile(JsonTable):
     """A file of the user that the plan depends on."""
 
-    role: str = Field(description="scene, part, or fixture:NAME")
+    role: str = Field(description="scene, part, robot, or fixture:NAME")
     path: str = Field(description="its path")
     sha256: str = Field(description="sha256 of its bytes")
 

@@ -117,7 +117,7 @@ def execution_timeline(
         segment = None if source is None else _segment(source, -1 if before is None else before.view, scan.view)
         if segment is None:
             film.go_straight(scan.q_reported)
-            straight.append(str(scan.view))
+            straight.append(str(scan.stop))
         else:
             t, q = segment
             share = (t / t[-1])[:, None]

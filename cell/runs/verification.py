@@ -64,7 +64,7 @@ class VerifiedPlan:
         scene: scene.resolved.json.
         plan: plan.json.
         motion: motion.npz.
-        world: the cell, compiled recompiled.
+        world: the cell, compiled again.
         checker: collision checker of the cell.
     """
 
@@ -253,12 +253,12 @@ def _numerics(model: mujoco.MjModel) -> list[tuple[str, list[float]]]:
     return sorted((each.name, np.round(each.data, 9).tolist()) for each in numbers)
 
 
-def _differs(one: Floats, two: Floats, near: float = _MODEL_TOLERANCE) -> bool:
-    return bool((np.abs(np.asarray(one) - np.asarray(two)) > near).any())
+def _differs(one: Floats, two: Floats) -> bool:
+    return not bool((np.abs(np.asarray(one) - np.asarray(two)) <= _MODEL_TOLERANCE).all())  # NaN differs
 
 
 def _is_rotated(one: Floats, two: Floats) -> bool:
-    return bool(abs(abs(float(np.dot(one, two))) - 1.0) > _MODEL_TOLERANCE)
+    return not abs(abs(float(np.dot(one, two))) - 1.0) <= _MODEL_TOLERANCE  # NaN is rotated
 
 
 def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int) -> Floats:
@@ -355,7 +355,7 @@ def verify_timing(
     Args:
         run: the run.
         limits: limits of the model (`model_limits`), scaled.
-        sweeps: first via point of each sweep, and the sweep as proven recompiled.
+        sweeps: first via point of each sweep, and the sweep as proven again.
         T_flange_scanner: (4, 4) mount [m].
         kinematics: of the arm.
     """

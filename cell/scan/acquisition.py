@@ -31,8 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.files import file_errors
 from cell.metrology import point_files
 from cell.part.workpiece import UNITS
+from cell.runs.run import file_bytes
 from planner.ports import ARM_AXES
 from planner.values import Floats, Ints, Value
 
@@ -229,19 +231,23 @@ class Files:
         """Return the points of a view's file once it is complete; None if it does not appear in time."""
         until, is_notified, size = self._now() + self._wait, False, -1
         while True:
-            path = point_files.file_of_view(self._folder, view.stop)
-            problem = point_files.missing_file(self._folder, view.stop) if path is None else f"{path} is not complete"
-            if path is not None:
+            try:
+                path = point_files.file_of_view(self._folder, view.stop)
+                problem = f"{path} is not complete"
+                if path is None:
+                    problem = point_files.missing_file(self._folder, view.stop)
                 # A file that is still being written grows: with time to wait, its size must be equal in two checks.
-                before, size = size, path.stat().st_size
-                if self._wait == 0 or before == size:
-                    try:
-                        points = point_files.read(path) * UNITS[self._unit]
-                    except FileError as error:
-                        problem = str(error)
-                    else:
-                        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-                        return Acquired(points, self._frame, details={"points_of": str(path), "sha256": digest})
+                before, size = size, -1 if path is None else path.stat().st_size
+            except OSError as error:  # a network folder can be away for a moment, and a file can be replaced
+                path, problem = None, f"{self._folder} cannot be read: {error.strerror or error}"
+            if path is not None and (self._wait == 0 or before == size):
+                try:
+                    points = point_files.read(path) * UNITS[self._unit]
+                    digest = hashlib.sha256(file_bytes(path)).hexdigest()
+                except FileError as error:
+                    problem = str(error)
+                else:
+                    return Acquired(points, self._frame, details={"points_of": str(path), "sha256": digest})
             if self._now() >= until:
                 self._notify(f"view {view.stop} is missing: {problem}; cell scan --resume scans it")
                 return None
@@ -276,9 +282,10 @@ class Command:
 
     def take(self, view: View) -> Acquired | None:
         """Return the points that the command wrote; None if all calls failed."""
-        self._raw.mkdir(exist_ok=True)
         out, pose = self._raw / f"{view.stop:04d}.ply", self._raw / f"{view.stop:04d}.json"
-        pose.write_text(json.dumps(_pose_values(view), indent=1), encoding="utf-8")
+        with file_errors(f"{pose} cannot be written"):
+            self._raw.mkdir(exist_ok=True)
+            pose.write_text(json.dumps(_pose_values(view), indent=1), encoding="utf-8")
         problem = ""
         for number in range(1, _TRIES + 1):
             out.unlink(missing_ok=True)
@@ -385,14 +392,14 @@ def _has_valid_grid(arrays: Mapping[str, NDArray[Any]], n_points: int) -> bool:
 
 
 def _pose_values(view: View) -> dict[str, object]:
-    """Return the content of a pose file: frames as rows of 4 x 4 matrices, metres; angles in degrees."""
+    """Return the content of a pose file: for each pose its 4 x 4 matrices [m] and angles [deg]."""
     T_base_scanner = view.T_base_object @ view.T_object_scanner
     return {
         "view": view.stop,
         "candidate": view.candidate,
         "units": "m, deg",
-        "q_deg": np.rad2deg(view.q[:ARM_AXES]).tolist(),
-        **({"e_deg": np.rad2deg(view.q[ARM_AXES:]).tolist()} if len(view.q) > ARM_AXES else {}),
+        "q_deg": np.rad2deg(view.q[:, :ARM_AXES]).tolist(),
+        **({"e_deg": np.rad2deg(view.q[:, ARM_AXES:]).tolist()} if view.q.shape[1] > ARM_AXES else {}),
         "T_base_flange": view.T_base_flange.tolist(),
         "T_base_scanner": T_base_scanner.tolist(),
         "T_object_scanner": view.T_object_scanner.tolist(),

@@ -68,7 +68,7 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         announce: receives the driver URL when clients can connect.
 
     Raises:
-        UsageError: if a fault is invalid.
+        UsageError: if a fault is invalid, the protocol does not have an option, or the stored state is another arm's.
         DriverFailureError: if the line is not available, or the controller cannot start.
         FileError: if a file cannot be read or written.
     """
@@ -77,8 +77,8 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         faults = parse_faults(options.faults)
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
-    for name in (*faults.random, *(each.name for each in faults.scheduled)) if protocol == "rsi" else ():
-        if name not in UDP_FAULTS:
+    for name in (*faults.random, *(each.name for each in faults.scheduled)):
+        if protocol == "rsi" and name not in UDP_FAULTS:
             raise UsageError(f"cell emulate rsi has no fault {name}; valid are: {', '.join(UDP_FAULTS)}")
     injector = Injector(faults, np.random.default_rng(options.seed)) if options.faults else None
     memory = Memory(options.state, options.log)
@@ -234,6 +234,7 @@ class Memory:
         ended_in_order: False if the last run was killed.
 
     Raises:
+        UsageError: if the file of the position has other content.
         FileError: if a file cannot be read or written.
     """
 

@@ -448,7 +448,7 @@ def _require_arrived(segment: Segment, state: RobotState, cell: RunCell) -> None
     """Refuse to drive on or to scan unless the arm is at the end of the segment."""
     due = segment.set_points[-1]
     distance = float(cell.travel(to_rad(due)[None], state.q[None])[0]) if (due != state.axes).any() else 0.0
-    if distance > cell.arrival:
+    if not distance <= cell.arrival:
         raise DriverFailureError(
             f"the arm is at {format_axes(state.axes)} and its move ended at {format_axes(due)}: a point of arm or tool "
             f"may deviate by {1000 * distance:.2f} mm, and {1000 * cell.arrival:g} mm are allowed (arrival_mm); it did "

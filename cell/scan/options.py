@@ -139,7 +139,6 @@ class ScanOptions(CurrentFiles):
             metavar="N",
         ),
     ] = None
-
     states: Annotated[
         OptionalPath,
         Option("File to which each state of the controller is appended as a JSON line.", REAL_ROBOT, metavar="FILE"),

@@ -38,7 +38,7 @@ def find_contradictions(
         scans: of one execution, by their reported poses.
         cell: part and scanner.
         nearest: the reference.
-        units: given unit of the points; None if the source has none.
+        units: given unit of the points; None if the source gives them in metres.
     """
     scans = [scan for scan in scans if scan.source != SIMULATED and len(scan.points)]
     if not scans:
@@ -95,10 +95,10 @@ def _hypotheses(
     def scaled(factor: Floats) -> list[Floats]:
         return [transform_points(T, points * factor) for T, points in zip(poses, raw, strict=True)]
 
-    given_metres, given_frame = UNITS.get(units or "m", 1.0), scans[0].frame
+    given, given_frame = units or "m", scans[0].frame
     for name, metres in UNITS.items():
-        if name != units:
-            yield f"their unit is {name}, not {units}", scaled(np.full(3, metres / given_metres))
+        if name != given:
+            yield f"their unit is {name}, not {given}", scaled(np.full(3, metres / UNITS[given]))
     for k, axis in enumerate("xyz"):
         cause = f"their frame is mirrored in {axis} (a left-handed frame, or a wrong sign)"
         yield cause, scaled(np.where(np.arange(3) == k, -1.0, 1.0))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell.errors import FileError, errors_as
-from cell.inspect.artefacts import QIF_SOURCE
-from cell.inspect.inspection import read_plan
+from cell.inspect.inspection import qif_of_run, read_plan
 from cell.metrology import point_files
 from cell.metrology.inspect import inspect_execution
 from cell.metrology.reconstruct import REACH, Reconstruction, reconstruct
@@ -240,8 +239,7 @@ def _inspect(session: Session[ExecutionFolder], run: Run, recorded: RecordedExec
     if plan is None or not recorded.scans:
         return []
     inspection = inspect_execution(plan, run.reference, run, recorded)
-    source = run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None
-    inspection.write(lambda name, content: folder.write_bytes(name, [content]), source)
+    inspection.write(lambda name, content: folder.write_bytes(name, [content]), qif_of_run(run))
     for each in inspection.result.characteristics:
         if each.verdict == "fail":
             session.note(f"{each.name} fails: {each.value:.4f} {each.unit}, U {each.expanded_uncertainty:.4f}")
@@ -381,11 +379,15 @@ class MergedScans:
 
 
 def merge_execution(
-    run: Run, recorded: RecordedExecution, scans: Sequence[ExecutedScan], nearest: ClosestPointQuery
+    run: Run,
+    recorded: RecordedExecution,
+    scans: Sequence[ExecutedScan],
+    nearest: ClosestPointQuery,
+    search: SearchRange | None = None,
 ) -> MergedScans:
-    """Merge scans of an execution by its own options and seed."""
+    """Merge scans of an execution by its own options and seed; `search` counts if it has no set-up error."""
     options, seed = options_of(recorded), recorded.manifest.seed
-    search = None if options.search_range is None else SearchRange(*options.search_range)
+    search = search if options.search_range is None else SearchRange(*options.search_range)
     rng = random_stream(run.seed if seed is None else seed, Stream.REGISTRATION_STARTS)
     return merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
 

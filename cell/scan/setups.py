@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.files import file_errors
 from cell.formatting import comma_list
-from cell.inspect.artefacts import QIF_SOURCE
-from cell.inspect.inspection import inspect_points, read_plan
+from cell.inspect.inspection import inspect_points, qif_of_run, read_plan
 from cell.metrology import point_files
 from cell.metrology.inspect import REGISTERED, execution_points, points_of_setups
 from cell.metrology.reconstruct import reconstruct
@@ -39,7 +38,7 @@ from cell.scan.results import (
     deviation_values,
     executed_poses,
     localisation_values,
-    merge_scans,
+    merge_execution,
     options_of,
     point_sigma,
     registration_values,
@@ -49,7 +48,7 @@ from cell.scan.results import (
     write_mesh,
 )
 from cell.scan.scan import resume, scan
-from cell.session import Session, Stream, random_stream
+from cell.session import Session
 from cell.world.prediction import held_out_samples
 from cell.world.support_contact import in_contact
 from planner.geometry.closest import ClosestPointQuery
@@ -158,7 +157,7 @@ def _new_options(planned: SetupsRun, number: int, user_options: ScanOptions | No
 
 def _recorded_options(folder: Path, execution: str, user_options: ScanOptions | None) -> ScanOptions:
     """Return the options of an execution, as a resume with the given options would use them."""
-    manifest = read_execution(open_finished(folder), execution).manifest
+    manifest = open_finished(folder).execution_manifest(execution)
     return ScanOptions.from_manifest(manifest.options).resumed(user_options or ScanOptions())
 
 
@@ -166,7 +165,7 @@ def _stopped_execution(folder: Path) -> str | None:
     """Return the latest execution of all views of a run if it did not finish."""
     run = open_finished(folder)
     for name in reversed(run.execution_ids):
-        manifest = read_execution(run, name).manifest
+        manifest = run.execution_manifest(name)
         if manifest.options.get("view") is None:
             return None if manifest.status == "finished" else name
     return None
@@ -176,7 +175,7 @@ def complete_execution(folder: Path) -> str | None:
     """Return the latest finished execution of all views of a set-up's run; None if there is none."""
     run = open_finished(folder)
     for name in reversed(run.execution_ids):
-        manifest = read_execution(run, name).manifest
+        manifest = run.execution_manifest(name)
         is_complete = manifest.status == "finished" and manifest.options.get("view") is None
         if is_complete and manifest.digest == run.digest:
             return name
@@ -302,11 +301,9 @@ def _read_body(session: Session[None], number: int, folder: Path, name: str) -> 
     for sentence in unusable:
         session.note(f"set-up {number}: {sentence}")
     nearest = ClosestPointQuery(cell.reference)
-    search = None if options.search_range is None else SearchRange(*options.search_range)
-    if search is None and any(scan.T_true is None for scan in scans):
-        search = SearchRange()  # no part is placed to a tenth of a millimetre by hand
-    rng = random_stream(recorded.manifest.require_seed(recorded.folder), Stream.REGISTRATION_STARTS)
-    merged = merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
+    # No part is placed to a tenth of a millimetre by hand.
+    search = SearchRange() if any(scan.T_true is None for scan in scans) else None
+    merged = merge_execution(run, recorded, scans, nearest, search)
     doubts = find_contradictions(scans, cell, nearest, options.points_units)
     return _ScannedBody(number, name, run, cell, scans, merged, doubts)
 
@@ -409,10 +406,7 @@ def _inspect(
             *(() if is_exact else (REGISTERED,)),
         ),
     )  # fmt: skip
-    inspection.write(
-        lambda name, content: folder.write_bytes(name, [content]),
-        run.artefact(QIF_SOURCE) if run.has(QIF_SOURCE) else None,
-    )
+    inspection.write(lambda name, content: folder.write_bytes(name, [content]), qif_of_run(run))
     return inspection.section()
 
 

@@ -22,6 +22,9 @@ MAX_FACES = 200_000
 _IS_PART = re.compile(r"part(_\d+)?")
 _VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
 
+VISIBLE_GROUPS = (1, 1, 1, 1, 0, 0)
+"""Whether each group of geoms is shown: surfaces and the robot, not hulls and the collision boxes inside the robot."""
+
 
 def set_colours(spec: mujoco.MjSpec) -> None:
     """Give every geom the colour that it has in pictures."""

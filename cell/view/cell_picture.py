@@ -32,7 +32,6 @@ _SUN = rays.direction(-70.0, 55.0)
 _SUN_DISTANCE, _LIFT = 8.0, 2e-4  # m: start of shadow rays, and height of their end above the surface
 _SKY = (np.array([0.97, 0.98, 1.0]), np.array([0.80, 0.85, 0.91]))
 _GRID = 0.5  # m between the lines of the floor
-_GLYPH_SHARE = 0.16  # of the frustum's length: the small pyramid of a view
 _MAX_PATH_POINTS = 300
 
 
@@ -77,7 +76,7 @@ def draw_cell(
         raise UsageError(f"--hide {unknown} is not a piece of this cell; it has: {', '.join(names)}")
     pieces = [piece for piece in pieces if piece.name not in hide]
     subject = [piece for piece in pieces if piece.name in ("robot", "scanner", "part")] or pieces
-    marks = rays.pyramid_edges(views, _GLYPH_SHARE * cell.frustum)
+    marks = rays.pyramid_edges(views, rays.GLYPH_SHARE * cell.frustum)
     if not isinstance(camera, rays.Camera):
         fit = np.concatenate([*(piece.vertices for piece in subject), marks.reshape(-1, 3), path])
         toward = rays.direction(*(camera or _default_camera(vertices)))

@@ -53,7 +53,7 @@ def refusal(request: Request, port: int, token: str) -> str:
         return "a WebSocket needs the header Origin"
     path, _, query = request.path.partition("?")
     cookies = [each.strip() for text in request.headers.get_all("Cookie") for each in text.split(";")]
-    credentials = [path.split("/")[1], *query.split("&"), *cookies]
+    credentials = [path.removeprefix("/").partition("/")[0], *query.split("&"), *cookies]
     expected = (token, f"token={token}", f"{_COOKIE}-{port}={token}")
     is_known = any(hmac.compare_digest(each.encode(), other.encode()) for each in credentials for other in expected)
     return "" if is_known else "the address has no token, or that of another server"

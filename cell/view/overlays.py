@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.robot.model import frame_of
-from cell.view.replay_model import GLYPH_SHARE, ReplayModel
+from cell.view.rays import GLYPH_SHARE
+from cell.view.replay_model import ReplayModel
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -71,11 +72,11 @@ def add_frustum(scene: mujoco.MjvScene, replay_model: ReplayModel, T_base_scanne
     """Draw the scanner's measuring volume: translucent sides, and edges back to the laser's source."""
     add_mesh(scene, replay_model.model, replay_model.frustum_mesh, T_base_scanner, BEAM)
     corners = replay_model.frustum_corners @ T_base_scanner[:3, :3].T + T_base_scanner[:3, 3]
-    pair_clearances, far, source = corners[:4], corners[4:], T_base_scanner[:3, 3]
+    near, far, source = corners[:4], corners[4:], T_base_scanner[:3, 3]
     for i in range(4):
         add_segment(scene, source, far[i], 0.0016, BEAM_EDGE)
         add_segment(scene, far[i], far[(i + 1) % 4], 0.0016, BEAM_EDGE)
-        add_segment(scene, pair_clearances[i], pair_clearances[(i + 1) % 4], 0.0016, BEAM_EDGE)
+        add_segment(scene, near[i], near[(i + 1) % 4], 0.0016, BEAM_EDGE)
 
 
 def add_glyph(scene: mujoco.MjvScene, replay_model: ReplayModel, T_base_scanner: Floats) -> None:

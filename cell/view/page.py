@@ -25,6 +25,7 @@ from cell.errors import CellError
 from cell.view import palette
 from cell.view.packed import Layer, pack_array, pack_mesh, pack_motion, pack_points
 from cell.view.pieces import CellGeometry, Piece, place_pieces
+from cell.view.rays import GLYPH_SHARE
 from cell.view.surface import MAX_FACES
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
@@ -32,7 +33,6 @@ from planner.values import Floats
 
 _VIEWER_START = "var camera,controls,scene,renderer,tracklight;"  # end of three.js, start of trimesh's own viewer
 _DISTANCE_FACTOR = 1.5  # times the diagonal of arm and part: distance at which both are in the picture
-_GLYPH_SHARE = 0.16  # of the frustum's length: the small pyramid of a view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +233,7 @@ def _scene_json(scene: PageScene) -> Mapping[str, object]:
         },
         "floor": next((float(piece.vertices[0, 2]) for piece in cell.pieces if piece.name == "floor"), 0.0),
         "palette": _PALETTE,
-        "glyph": _GLYPH_SHARE,
+        "glyph": GLYPH_SHARE,
     }
 
 

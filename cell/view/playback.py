@@ -9,6 +9,7 @@ import numpy as np
 from cell.robot import model as robot
 from cell.runs.timeline import Timeline
 from cell.view import overlays
+from cell.view.appearance import VISIBLE_GROUPS
 from cell.view.replay_model import ReplayModel
 from cell.view.tightest_moment import TightestMoment, add_tightest
 from cell.world.table import TablePoses
@@ -147,5 +148,5 @@ class Playback:
 
 def set_visible_groups(option: mujoco.MjvOption) -> None:
     """Show surfaces and the robot; hide hulls, the collision boxes inside the robot, and sites."""
-    option.geomgroup[:] = [1, 1, 1, 1, 0, 0]
+    option.geomgroup[:] = VISIBLE_GROUPS
     option.sitegroup[:] = 0

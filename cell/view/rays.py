@@ -20,6 +20,9 @@ from cell.files import atomic_write, file_errors
 from planner.ports import RayCaster
 from planner.values import Floats, Ints, Value
 
+GLYPH_SHARE = 0.16
+"""Length of the small pyramid of a view, as a share of the frustum's length."""
+
 _STEPS = 40  # pieces of a line, each hidden or visible
 _EDGE_CONTRAST = 0.15  # of full brightness: pixels that differ more from a neighbour get four rays
 _BLOCK = 16_384  # pixels drawn at a time
@@ -86,7 +89,7 @@ def fit_camera(
 
     Args:
         points: (N, 3) [m].
-        toward: (3,) from the points to the camera, of any length but not vertical.
+        toward: (3,) from the points to the camera, of any length.
         size: (width, height) [pixels].
         parallel: without perspective.
         half: tangent of half the smaller opening of a camera with perspective; None for 0.3.

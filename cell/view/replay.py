@@ -12,7 +12,7 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.runs import timeline as replay_timeline
-from cell.runs.run import Run, open_run, read_execution
+from cell.runs.run import RecordedExecution, Run, open_run, read_execution
 from cell.runs.timeline import Timeline
 from cell.session import ProgressReporter
 from cell.view.cell_picture import tour_camera
@@ -23,6 +23,7 @@ from cell.view.replay_options import ReplayOptions
 from cell.view.replay_pictures import PictureInputs, require_empty, write_frames, write_picture
 from cell.view.tightest_moment import tightest_moment
 from cell.view.viewer import Player, play, require_display
+from planner.values import Floats
 
 
 def replay(
@@ -49,10 +50,10 @@ def replay(
         require_display()
     with reporter.stage("set up the replay"):
         run = open_run(folder)
-        playback = load_playback(run, options.execution, reporter)
-        scans = () if options.execution is None else read_execution(run, options.execution).scans
+        recorded = None if options.execution is None else read_execution(run, options.execution)
+        playback = load_playback(run, recorded, reporter)
         cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
-        inputs = PictureInputs(playback, cell, part, [scan.points for scan in scans])
+        inputs = PictureInputs(playback, cell, part, _clouds(recorded))
     start = _tightest(playback) if options.tightest else _start(playback.timeline, options.view)
     results: list[str] = []
     if options.picture is not None:
@@ -84,12 +85,12 @@ def replay(
     return "; ".join(results)
 
 
-def load_playback(run: Run, execution: str | None, reporter: ProgressReporter) -> Playback:
+def load_playback(run: Run, recorded: RecordedExecution | None, reporter: ProgressReporter) -> Playback:
     """Load the model and the timeline of a run.
 
     Args:
         run: the opened run.
-        execution: id of an execution, or "latest"; None for the plan.
+        recorded: execution to show; None for the plan.
         reporter: reports missing files.
 
     Raises:
@@ -103,11 +104,9 @@ def load_playback(run: Run, execution: str | None, reporter: ProgressReporter) -
     if not run.is_finished:
         reporter.note(f"this run {run.ending}; the replay shows its finished stages")
     scene = run.scene
-    recorded = read_execution(run, execution) if execution is not None else None
     if recorded is not None and not recorded.scans:
         reporter.note(f"{recorded.folder} holds no readable scan")
-    clouds = [scan.points for scan in recorded.scans] if recorded is not None else []
-    replay_model = build_replay_model(run, scene, run.mesh("reference.ply"), clouds)
+    replay_model = build_replay_model(run, scene, run.mesh("reference.ply"), _clouds(recorded))
     planned = run.motion if run.has("motion.npz") else None
     if recorded is not None:
         timeline = replay_timeline.execution_timeline(recorded, planned, replay_model.home)
@@ -129,6 +128,11 @@ def load_playback(run: Run, execution: str | None, reporter: ProgressReporter) -
         + ("" if reachable is None else f", {int(np.count_nonzero(reachable))} of them reachable (green)")
     )
     return Playback(replay_model, timeline, replay_model.T_base_object @ candidates.T_object_scanner[:, 0], reachable)
+
+
+def _clouds(recorded: RecordedExecution | None) -> list[Floats]:
+    """Return the (P, 3) points of each scan of an execution, object frame [m]; none for a plan."""
+    return [] if recorded is None else [scan.points for scan in recorded.scans]
 
 
 def _start(timeline: Timeline, view: int | None) -> float:

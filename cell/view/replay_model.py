@@ -20,7 +20,7 @@ from cell.runs.cell import table_of
 from cell.runs.run import Run
 from cell.runs.schema import ResolvedScene
 from cell.view.appearance import add_surface, add_visual_mesh, is_robot_body, part_geoms, set_colours, set_lighting
-from cell.view.rays import frustum_corners
+from cell.view.rays import GLYPH_SHARE, frustum_corners
 from cell.world.shapes import ShapeDistances, meshes_of
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
 MAX_POINTS = 6_000
 """Largest number of points of a scan in the picture; more would cost time and cover the surface no better."""
-
-GLYPH_SHARE = 0.16
-"""Length of the small pyramid at a view, as a share of the frustum's length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -99,7 +99,9 @@ def named_layer(title: str, which: Ints, classes: Iterable[tuple[str, str]], can
     shares = np.bincount(which, canvas.samples.areas) / canvas.samples.areas.sum()
     pairs = zip(classes, shares, strict=False)
     legend = [(f"{name} ({_format_percent(share)})", colour) for (name, colour), share in pairs]
-    return Layer(title, "named", which.astype(np.uint8)[canvas.vertex_samples()], canvas.note, named=legend)
+    codes = which[canvas.vertex_samples()]
+    values = codes.astype(np.uint8) if which.max(initial=0) < 256 else codes.astype(np.uint16)
+    return Layer(title, "named", values, canvas.note, named=legend)
 
 
 def execution_page(

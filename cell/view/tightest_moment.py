@@ -13,6 +13,7 @@ import numpy as np
 from cell.runs.schema import PlanFile
 from cell.runs.timeline import Timeline
 from cell.view import overlays, rays
+from cell.view.appearance import VISIBLE_GROUPS
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def closeup_camera(
     middle, distance = tightest.points.mean(axis=0), max(_MIN_CAMERA_DISTANCE, 6.0 * tightest.distance)
     line = tightest.points[1] - tightest.points[0]
     line = line / max(float(np.linalg.norm(line)), 1e-9)
-    visible_groups = np.array([1, 1, 1, 1, 0, 0], dtype=np.uint8)
+    visible_groups = np.array(VISIBLE_GROUPS, dtype=np.uint8)
     best, forward = -1.0, np.zeros(3)
     for elevation in _ELEVATIONS_DEG:
         for azimuth in np.arange(0.0, 360.0, 15.0):

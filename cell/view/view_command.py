@@ -10,7 +10,7 @@ from pathlib import Path
 from cell import scanners
 from cell.errors import CellError, UsageError
 from cell.files import atomic_write, file_errors
-from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
+from cell.runs.run import Execution, execution_of, open_run, read_execution
 from cell.runs.schema import EXPLORE_FILE, ScannerKeys
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
@@ -46,9 +46,9 @@ def make_page(source: Path | None, out: Path | None, reporter: ProgressReporter)
             text = explore_page(source)
         elif source is None or not source.is_dir():
             text = render_page(*scene_page(load_scene(source)))
-        elif source.absolute().parent.name == EXECUTIONS:
-            run = open_run(source.absolute().parent.parent)
-            text = execution_page(run, read_execution(run, source.absolute().name), Execution.open(source))
+        elif (execution := execution_of(source)) is not None:
+            run = open_run(execution[0])
+            text = execution_page(run, read_execution(run, execution[1]), Execution.open(source))
         else:
             text = run_page(open_run(source))
         return write_page(text, out)

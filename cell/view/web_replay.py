@@ -128,7 +128,7 @@ def _panel_type() -> type[Any]:
 
         def __init__(self, playback: Playback, player: Player, camera: rays.Camera, lock: threading.Lock) -> None:
             self._playback, self._player, self._camera, self._lock = playback, player, camera, lock
-            self._is_placed = False
+            self._is_placed, self._caption = False, ""
 
         @messages.handler  # type: ignore[untyped-decorator]
         def on_update(self, _: messages.UpdateEvent) -> None:

@@ -263,6 +263,29 @@ def test_a_growing_file_is_read_when_its_size_is_constant(run: Path, tmp_path: P
     assert "view 8 is missing" in message[-1]
 
 
+def test_a_folder_that_is_away_for_a_moment(tmp_path: Path) -> None:
+    """The arm waits for the points; without them the view is missing, and its cause is named."""
+    folder, away, message, time_ = tmp_path / "files", tmp_path / "away", [], [0.0]
+    folder.mkdir()
+    (folder / "view_7.xyz").write_text("1 2 3\n")
+
+    def sleep(seconds: float) -> None:
+        time_[0] += seconds
+        if away.exists():
+            away.rename(folder)
+
+    options = {"points_frame": "base", "points_units": "cm", "acquire_wait_s": 5.0}
+    context = Context(None, options, 0, tmp_path, message.append)  # type: ignore[arg-type]
+    files = Files(str(folder), context, now=lambda: time_[0], sleep=sleep)
+    eye = np.eye(4)[None]
+    view = View(7, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))
+    folder.rename(away)
+    assert isinstance(files.take(view), Acquired)
+    shutil.rmtree(folder)
+    assert files.take(view) is None
+    assert re.search(r"view 7 is missing: .*files cannot be read: No such file", message[-1])
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -93,6 +93,7 @@ def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: 
     assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
     assert [export.percent(None, default, 0.079) for default in (20, 30)] == [7, 7]
     assert export.percent(0.5, 20, 0.079) == 50
+    assert [export.percent(share, 20, 1.0) for share in (0.019, 0.29, 0.57, 1.0)] == [1, 29, 57, 100]  # never faster
 
 
 def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
@@ -119,6 +120,7 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
         (("--name", "con"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--name", "SC_TOOL"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--speed", "0"), "--speed is 0.0; it must be above 0"),
+        (("--speed", "0.004"), "--speed is 0.004; it must be at least 0.01"),
         (("--speed", "20"), "--speed is 20; it is a share of the speed, at most 1: give 0.2 for 20 %"),
         (("--acceleration", "0"), "--acceleration is 0.0; it must be above 0"),
         (("--trigger-output", "0"), "--trigger-output is 0; in KRL it must be from 1 to 4096"),
@@ -131,7 +133,10 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
         (("--format", "karel"), "--format is 'karel'; did you mean 'krl'? valid are: krl, rapid"),
         (("--format", "rapid", "--name", "Trap"), "--name Trap is reserved in RAPID"),
         (("--format", "rapid", "--name", "scStop"), "--name scStop is reserved in RAPID or in the exported program"),
+        (("--format", "rapid", "--name", "SCSTOP"), "--name SCSTOP is reserved in RAPID or in the exported program"),
         (("--format", "urscript", "--name", "halt"), "--name halt is reserved in URScript"),
+        (("--format", "urscript", "--name", "Con"), "--name Con is reserved in URScript"),
+        (("--format", "ls", "--name", "COM1"), "--name COM1 is reserved in LS"),
         (("--format", "ls", "--name", "pause"), "--name pause is reserved in LS"),
         (("--format", "ls", "--done-input", "0"), "--done-input is 0; in LS it must be from 1 to 4096"),
         (

@@ -61,6 +61,14 @@ def test_points_of_a_file_are_inspected(run_cell: RunCommand, tmp_path: Path) ->
     assert "<CharacteristicStatusEnum>FAIL" in (tmp_path / "checked" / "results.qif").read_text()
 
 
+def test_options_of_a_file_are_refused_for_an_execution(run_cell: RunCommand, tmp_path: Path) -> None:
+    """A search or a precision of points would not apply to its points."""
+    (tmp_path / "executions" / "0001").mkdir(parents=True)
+    for option in (("--search", "1mm,1deg"), ("--point-sd", "0.1"), ("--points-units", "mm")):
+        process = run_cell("inspect", "executions/0001", *option, cwd=tmp_path, code=2)
+        assert "are for points of a file" in process.stderr
+
+
 def test_two_clouds_are_compared(run_cell: RunCommand, tmp_path: Path) -> None:
     """A plane that is 0.2 higher, of which one end is missing."""
     grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(40.0)), axis=-1).reshape(-1, 2)

@@ -18,7 +18,7 @@ from PIL import Image
 
 from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
-from cell.runs.run import open_run
+from cell.runs.run import open_run, read_execution
 from cell.view import overlays
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
@@ -268,7 +268,7 @@ def test_an_execution_shows_its_points(
             T_object_scanner=view.T_object_scanner, source="files", points=points,
         )  # fmt: skip
     (scans / "0003.npz").write_bytes((scans / "0003.npz").read_bytes()[:500])
-    executed = load_playback(run, "latest", Terminal())
+    executed = load_playback(run, read_execution(run, "latest"), Terminal())
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
     assert len(executed.timeline.stops) == 2
     np.testing.assert_allclose(executed.timeline.at(executed.timeline.stops[1].begin), run.plan.views[1].q + 1e-3)

@@ -26,6 +26,8 @@ def test_the_trajectory_is_the_planned_motion(planned: Path, tmp_path: Path) -> 
         point["time_from_start"]["sec"] + point["time_from_start"]["nanosec"] * 1e-9 for point in content["points"]
     ]
     np.testing.assert_allclose(times, motion.t, atol=1e-9)
+    expected = [{"view": number, "time_s": t} for number, t in enumerate(motion.via_t[motion.stops].tolist(), start=1)]
+    assert content["views"] == expected
     assert all(isinstance(point["time_from_start"]["sec"], int) for point in content["points"])
 
 

@@ -64,6 +64,16 @@ def test_each_set_up_is_a_run_of_its_own(setups_folder: Path, run_cell: RunComma
     assert "made holds several set-ups; give the run folder of one of them: made/setups/1" in process.stderr
 
 
+def test_a_name_of_several_programs_leaves_room_for_their_numbers(
+    setups_folder: Path, run_cell: RunCommand, tmp_path: Path
+) -> None:
+    """A name that is too long is refused and not replaced."""
+    words = ("export", setups_folder, "--name", "the_part_of_line_two_b", "--out", "out")
+    process = run_cell(*words, cwd=tmp_path, code=2)
+    assert "has 22 characters; a name for several set-ups has at most 21" in process.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_page_of_each_set_up_is_opened(setups_folder: Path, run_cell: RunCommand) -> None:
     """`cell view` prints the page of each run. One output file for several pages is refused."""
     process = run_cell("view", "made", "--no-open", cwd=setups_folder.parent, code=0)

@@ -1,5 +1,6 @@
 """Points that are no scan, commands that do not end, plug-ins that raise, memory that runs out."""
 
+import json
 import os
 import re
 import subprocess
@@ -70,6 +71,23 @@ def test_the_message_about_a_failed_command_has_its_last_line(tmp_path: Path) ->
     (tmp_path / "scanner").touch(mode=0o600)
     with pytest.raises(UsageError, match=r"the program .*scanner is not executable"):
         command(f"{tmp_path / 'scanner'} --fast", tmp_path, 5.0, notes)
+
+
+def test_the_pose_file_of_a_sweep_on_a_table(tmp_path: Path) -> None:
+    """Every pose has its six angles of the arm, and that of the table."""
+    q = np.radians(np.arange(56.0).reshape(8, 7))
+    T = np.tile(np.eye(4), (8, 1, 1))
+    assert command("true", tmp_path, 5.0, []).take(View(3, 30, q, T, T, np.eye(4), np.arange(8))) is None
+    pose = json.loads((tmp_path / "raw" / "0003.json").read_text())
+    np.testing.assert_allclose(pose["q_deg"], np.degrees(q[:, :6]))
+    np.testing.assert_allclose(pose["e_deg"], np.degrees(q[:, 6:]))
+
+
+def test_a_pose_file_that_cannot_be_written(tmp_path: Path) -> None:
+    """The sentence names it."""
+    (tmp_path / "raw").touch()
+    with pytest.raises(FileError, match=r"0003.json cannot be written: File exists"):
+        command("true", tmp_path, 5.0, []).take(VIEW)
 
 
 @pytest.mark.parametrize(

@@ -196,7 +196,8 @@ def xml_changes(run: Path, name: str) -> list[Callable[[], Change]]:
         else:
             words = element.attrib[attribute].split()
             word = words[-1]
-            words[-1] = repr(float(word) + 0.011) if re.fullmatch(r"[-+.\de]+", word) else f"{word}x"
+            is_number, changed = re.fullmatch(r"[-+.\de]+", word), what == "changed"
+            words[-1] = f"{word}x" if not is_number else repr(float(word) + 0.011) if changed else "nan"
             element.attrib[attribute] = " ".join(words)
         return Change(f"{name}:{kind}", f"{kind} number {number} {what}", ElementTree.tostring(root))
 
@@ -205,7 +206,7 @@ def xml_changes(run: Path, name: str) -> list[Callable[[], Change]]:
         for kind, found in places.items()
         if kind != "mujoco"  # the root
         for place in dict.fromkeys((found[0], found[len(found) // 2], found[-1]))
-        for what in (("changed", "taken away") if place[1] else ("taken away", "twice"))
+        for what in (("changed", "not a number", "taken away") if place[1] else ("taken away", "twice"))
     ]
 
 
@@ -308,6 +309,15 @@ def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path
         *array_changes(run, "motion.npz", rng, 1)[::30],
     ]
     assert undetected(run, sample, resealed) == []
+
+
+def test_numbers_of_the_cell_that_are_none_are_refused(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
+    """MuJoCo accepts NaN, which is neither above nor below a limit."""
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
+    places = ("body@pos", "body@quat", "joint@pos", "joint@axis", "joint@range", "geom@pos", "site@pos")
+    changes = [make for make in xml_changes(run, "cell.xml") if make().what.endswith("not a number")]
+    named = {make().field.removeprefix("cell.xml:"): make for make in changes}
+    assert undetected(run, [named[place] for place in places if place in named], resealed) == []
 
 
 @pytest.mark.slow

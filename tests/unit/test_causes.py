@@ -109,3 +109,14 @@ def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
         assert output.pop("swapped") == []
     wrong = {cause: sentences for cause, sentences in output.items() if CAUSES[cause] not in " ".join(sentences)}
     assert wrong == {}
+
+
+def test_points_without_a_given_unit_are_in_metres() -> None:
+    """The other units are tested, and the sentence names both."""
+    T, still, points = np.eye(4), np.zeros(6), np.ones((1, 3))
+    scan = ExecutedScan(1, 1, still, still, T, T[None], None, None, points, None, "plug-in", "scanner")
+    scene = SimpleNamespace(T_flange_scanner=T, T_base_object=T)
+    cell: Any = SimpleNamespace(scene=scene, in_base=lambda q, T: T)
+    causes = dict(point_checks._hypotheses([points], [scan], cell, None))
+    np.testing.assert_allclose(causes["their unit is mm, not m"], [0.001 * points])
+    assert not any(cause.startswith("their unit is m,") for cause in causes)

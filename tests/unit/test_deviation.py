@@ -1,9 +1,12 @@
 """Deviation of a mesh from the reference: statistics, histogram and closing faces."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 
+from cell.report import scan_report
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.surface import measure_deviation, sample_by_area, sharp_edge_points
@@ -115,3 +118,11 @@ def test_points_of_sharp_edges_are_those_of_a_box_and_none_of_a_sphere() -> None
     assert len(points) == 12 * 101
     ball = trimesh.creation.icosphere(3)
     assert len(sharp_edge_points(TriangleMesh(ball.vertices, ball.faces), 0.001)) == 0
+
+
+@pytest.mark.usefixtures("drawn_pictures")
+def test_the_source_in_the_picture_is_no_formula(tmp_path: Path) -> None:
+    """A command may contain dollar signs."""
+    deviation = measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=1000)
+    scan_report.draw_deviation(tmp_path / "picture.png", REFERENCE, deviation, "points: command shoot $VIEW_$OUT")
+    assert (tmp_path / "picture.png").stat().st_size > 1000

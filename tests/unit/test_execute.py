@@ -20,6 +20,7 @@ from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.options import ScanOptions
 from cell.scan.simulated import Disturbance, Simulated
 from cell.scanners.laser_area import LaserArea
+from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import RobotState
 from drivers.errors import FaultError
@@ -265,6 +266,13 @@ def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: Executi
     assert len(driver.moves) == 1
     assert list((folder.path / "scans").iterdir()) == []
     assert [event["event"] for event in _events(folder)] == ["connected", "move", "arrival", "failed"]
+
+
+def test_an_unknown_distance_is_no_arrival(folder: ExecutionFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NaN is not above the tolerance, and the arm is not driven on."""
+    monkeypatch.setattr(TravelBound, "__call__", lambda *_: np.full(1, np.nan))
+    with pytest.raises(DriverFailureError, match="it did not arrive"):
+        _run(RecordingDriver(off=1), _tour(), folder)
 
 
 def test_a_full_disk_does_not_hide_why_an_execution_ended(folder: ExecutionFolder, monkeypatch) -> None:

@@ -9,10 +9,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from PIL import Image
 from pydantic import ValidationError
 
 from benchmarks.inspection import block_bench, scan_values
 from cell.errors import FileError, SceneError
+from cell.inspect import pictures
 from cell.inspect.alignment import common_element, datum_frame, fit_reference_points, moved
 from cell.inspect.evaluation import Evaluation, Measurement, Verdict, verdict_of
 from cell.inspect.features import Characteristic, Feature, InspectionPlan, Patch, resolve_features
@@ -320,6 +322,32 @@ class TestQif:
         assert len(ids) == len(set(ids))
         assert int(root.get("idMax") or 0) == max(int(each or 0) for each in ids)
 
+    def test_results_have_units_of_the_file(self, block: Workpiece, tmp_path: Path) -> None:
+        """A file in inches without the unit mm, and with degrees that have no factor."""
+        plan, _ = self.read(block, tmp_path, bored_block_qif())
+        done = inspected(block, points_on(block, 5000, 1e-5), only(plan, "Diameter 42")).result
+        size = done.characteristics[0]
+        angle = size.model_copy(update={"unit": "deg", "source_id": "43"})
+        text = bored_block_qif("in").replace("<UnitConversion><Factor>0.017453292519943</Factor></UnitConversion>", "")
+        result = done.model_copy(update={"characteristics": (size, angle)})
+        values = [
+            each for each in ElementTree.fromstring(qif_results(text.encode(), result)).iter() if "}Value" in each.tag
+        ]
+        assert all(each.get("linearUnit") is None for each in values)
+        expected = [(size.value or 0) / 25.4, size.value]
+        assert [float(each.text or 0) for each in values] == pytest.approx(expected, abs=1e-6)
+
+    def test_a_file_with_results_is_refused(self, block: Workpiece, tmp_path: Path) -> None:
+        """Results cannot be added to it after the scan, so it is refused before."""
+        text = bored_block_qif().replace("</Characteristics>", "</Characteristics><Results/>")
+        (tmp_path / "done.qif").write_text(text)
+        with pytest.raises(FileError, match=r"done\.qif has results"):
+            read_qif(tmp_path / "done.qif", block)
+
+    def test_a_boolean_may_be_a_number(self, block: Workpiece, tmp_path: Path) -> None:
+        plan, _ = self.read(block, tmp_path, bored_block_qif().replace(">true<", ">1<"))
+        assert next(each.upper for each in plan.characteristics if each.name == "Diameter 42") == pytest.approx(16.2)
+
 
 class TestAlignment:
     NOMINAL = (
@@ -516,6 +544,68 @@ class TestDegenerateFeatures:
         assert found.expanded_uncertainty > 0.05
         assert found.verdict == "undecided"
         assert "nearly not determined" in "\n".join(done.section())
+
+    def test_a_distance_of_circles_is_that_of_their_axes(self) -> None:
+        """Bores of other depth have their middles at other heights, which does not count."""
+        turn, count = np.linspace(0, 2 * np.pi, 60, endpoint=False), np.arange(60)
+        rings, patches, points = [], [], []
+        for number, (x, low, high) in enumerate(((0.0, 0.0, 0.005), (0.03, 0.0, 0.015))):
+            circle = np.column_stack([x + 0.005 * np.cos(turn), 0.005 * np.sin(turn)])
+            rings += [np.column_stack([circle, np.full(60, z)]) for z in (low, high)]
+            points += [np.column_stack([circle, np.full(60, z)]) for z in np.linspace(low, high, 12)]
+            own = tuple(range(120 * number, 120 * number + 120))
+            patches.append(
+                Patch(
+                    kind="cylinder",
+                    point_mm=(1000 * x, 0, 500 * (low + high)),
+                    axis=(0, 0, 1),
+                    radius_mm=5,
+                    half_angle_deg=0,
+                    triangles=own,
+                )
+            )
+        wall = np.concatenate(
+            [
+                np.column_stack([count, (count + 1) % 60, count + 60]),
+                np.column_stack([(count + 1) % 60, (count + 1) % 60 + 60, count + 60]),
+            ]
+        )
+        mesh = TriangleMesh(np.concatenate(rings), np.concatenate([wall, wall + 120]).astype(np.int32))
+        features = [
+            Feature(name=name, kind="circle", faces=(1,), datum=None, patches=(patch,))
+            for name, patch in zip(("one", "two"), patches, strict=True)
+        ]
+        distance = Characteristic(
+            id=1,
+            name="distance",
+            feature="one",
+            kind="distance",
+            unit="mm",
+            nominal=30,
+            lower=29.9,
+            upper=30.1,
+            datums=(),
+            to="two",
+            criterion="least-squares",
+            zone=None,
+            source_id=None,
+        )
+        plan = InspectionPlan(
+            source="test",
+            features=tuple(features),
+            characteristics=(distance,),
+            unsupported=(),
+            notes=(),
+            u_over_t=None,
+            alignment="none",
+            rps=(),
+            edge_mm=0.0,
+            reach_mm=2.0,
+        )
+        done = inspect_points(
+            plan, mesh, single_view(np.concatenate(points)), part="bores", source="points", is_simulated=False
+        )
+        assert done.result.characteristics[0].value == pytest.approx(30, abs=1e-4)  # fmt: skip
 
     @pytest.mark.parametrize(("half_deg", "is_weak"), [(10, True), (45, False), (180, False)])
     def test_a_short_arc_of_a_bore(self, block: Workpiece, half_deg: float, is_weak: bool) -> None:
@@ -731,6 +821,25 @@ class TestResults:
         small = small.model_copy(update={"characteristics": (size,)})
         assert ",11.1252,10.9982," in as_csv(inspected(block, points_on(block, 5000, 1e-5), small).result)
         assert "Simulated points" in "\n".join(done.section())
+
+    def test_a_single_limit_is_no_tolerance(self, block: Workpiece) -> None:
+        """U / T of a diameter with only a largest value is not U divided by the diameter."""
+        done = inspected(block, points_on(block, 5000, 1e-5), only(plan_of(block), "bore: size")).result
+        (size,) = done.characteristics
+        assert size.u_over_t == pytest.approx((size.expanded_uncertainty or 0) / 0.4)
+        for name in ("lower", "upper"):
+            assert size.model_copy(update={name: None}).u_over_t is None
+
+    @pytest.mark.usefixtures("drawn_pictures")
+    def test_names_are_no_formulas(self, block: Workpiece, tmp_path: Path) -> None:
+        """Dollar signs in names and causes are characters of the report."""
+        done = inspected(block, points_on(block, 5000, 1e-5), only(plan_of(block), "bore: size")).result
+        (size,) = done.characteristics
+        odd = size.model_copy(update={"name": "a$b_$", "cause": "no $x^$"})
+        result = done.model_copy(update={"part": "block$1_$", "characteristics": (odd,)})
+        Image.new("RGB", (8, 8)).save(tmp_path / "features.png")
+        pictures.report_pdf(tmp_path / "report.pdf", tmp_path / "features.png", result)
+        assert (tmp_path / "report.pdf").stat().st_size > 1000
 
     def test_the_page_and_the_files_are_equal_in_every_run(self, block: Workpiece) -> None:
         points = points_on(block, 5000, 1e-5)

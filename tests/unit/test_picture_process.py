@@ -43,3 +43,13 @@ def test_the_process_has_the_module_path_of_its_parent(tmp_path: Path, monkeypat
         drawing.send("cover_curve", tmp_path / "cover.png", **COVER)
         with pytest.raises(RuntimeError, match="the module of the parent"):
             drawing.finish()
+
+
+def test_a_process_with_many_messages_is_not_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More messages and larger plots than pipes hold: the error is reported all the same."""
+    (tmp_path / "matplotlib.py").write_text("import sys\nsys.stderr.write(100_000 * 'much ')\nraise ImportError('end')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with plot_process() as drawing:
+        drawing.send("cover_curve", tmp_path / "cover.png", **COVER | {"marginal_area": np.zeros(100_000)})
+        with pytest.raises(RuntimeError, match="end"):
+            drawing.finish()

@@ -177,6 +177,14 @@ def test_pcd_points_in_every_form(tmp_path: Path, case: str) -> None:
     assert read_text(tmp_path, PCD[case], "points.pcd") == pytest.approx(POINTS)
 
 
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed"])
+def test_a_pcd_without_points(tmp_path: Path, kind: str) -> None:
+    """An empty scan is read."""
+    body = bytes(8) if kind == "binary_compressed" else b""
+    content = pcd("x y z", "4 4 4", "F F F", "1 1 1", kind, body).replace(b"WIDTH 40", b"WIDTH 0")
+    assert read_text(tmp_path, content.replace(b"POINTS 40", b"POINTS 0"), "points.pcd").shape == (0, 3)
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
@@ -186,6 +194,10 @@ def test_pcd_points_in_every_form(tmp_path: Path, case: str) -> None:
         (pcd("x y z", "4 4 4", "F F F", "1 1 1", "binary", b"short"), "ends before its 40 points"),
         (pcd("a b c", "4 4 4", "F F F", "1 1 1", "ascii", rows().encode()), "no x, y and z"),
         (pcd("x y z", "4 4", "F F F", "1 1 1", "ascii", rows().encode()), "of equal length"),
+        (pcd("x y z", "1 4 4", "F F F", "1 1 1", "binary", bytes(9 * len(POINTS))), "without valid FIELDS"),
+        (pcd("x y z", "4 4 4", "F F F", "1 1 2", "binary", bytes(16 * len(POINTS))), r"its fields are x, y, z \(2\)"),
+        (pcd("x y z", "4 4 4", "F F F", "1 1 0", "ascii", rows().encode()), r"its fields are x, y, z \(0\)"),
+        (pcd("x y z", "4 4 4", "F F F", "1 1 1", "ascii", b"\xff\xfe1\n" * len(POINTS)), "without 3 numbers"),
         (b"nothing", "no DATA line"),
     ],
 )  # fmt: skip

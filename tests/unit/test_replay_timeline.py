@@ -111,6 +111,7 @@ def test_stops_have_the_numbers_of_the_plan() -> None:
     renumbered = timeline.execution_timeline(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
     assert [(stop.number, stop.candidate) for stop in renumbered.stops] == [(2, 3), (3, 9)]
     assert renumbered.n_views == 3
+    assert "the motion to view 2 is neither" in renumbered.notes[0]
     assert timeline.plan_timeline(motion).n_views == 3
 
 

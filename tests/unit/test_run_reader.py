@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from cell.errors import FileError
-from cell.runs.run import open_run, read_execution, read_scan
+from cell.runs.run import execution_of, open_run, read_execution, read_scan
 
 Blob = Callable[[int], trimesh.Trimesh]
 
@@ -52,9 +52,11 @@ def test_the_reference_is_the_part_that_was_given(planned: Path, blob: Blob) -> 
 
 def test_invalid_folders_have_different_messages(tmp_path: Path, copy: Path) -> None:
     """A missing, foreign or damaged folder, a file and another schema have one message each, with exit code 6."""
-    foreign, empty = tmp_path / "foreign", tmp_path / "empty"
-    empty.mkdir()
-    foreign.mkdir()
+    foreign, empty, several = (tmp_path / name for name in ("foreign", "empty", "several"))
+    for folder in (foreign, empty, several):
+        folder.mkdir()
+    for name in ("manifest.json", "setups.json"):
+        (several / name).write_text("{}")
     (foreign / "manifest.json").write_text('{"name": "a web page"}')
     (tmp_path / "gone.part").mkdir()
     sentences = {
@@ -63,6 +65,7 @@ def test_invalid_folders_have_different_messages(tmp_path: Path, copy: Path) -> 
         tmp_path / "gone": "gone.part does: a run that did not finish",
         copy / "cell.xml": "is a file",
         empty: "has no manifest.json",
+        several: "holds several set-ups; give the run folder of one of them: none is there",
         foreign: "is not a run folder: its manifest.json does not have the schema",
     }
     for folder, sentence in sentences.items():
@@ -75,6 +78,18 @@ def test_invalid_folders_have_different_messages(tmp_path: Path, copy: Path) -> 
     (copy / "manifest.json").write_text('{"schema": ')
     with pytest.raises(FileError, match=r"manifest\.json is damaged: it is not JSON"):
         open_run(copy)
+
+
+def test_the_folder_of_an_execution_is_known_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also from inside the run, where its path is short."""
+    folder = tmp_path / "run" / "executions" / "0001"
+    folder.mkdir(parents=True)
+    assert execution_of(Path("run/executions/0001")) == (Path("run"), "0001")
+    assert execution_of(tmp_path / "run") is None
+    for place, path in ((tmp_path / "run", "executions/0001"), (folder.parent, "0001"), (folder, ".")):
+        monkeypatch.chdir(place)
+        run, name = execution_of(Path(path)) or (Path(), "")
+        assert (run.absolute(), name) == (tmp_path / "run", "0001")
 
 
 def test_a_changed_artefact_is_refused(copy: Path) -> None:

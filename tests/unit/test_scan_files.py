@@ -78,6 +78,15 @@ def test_damaged_files_are_refused(kind: str, damage: str, tmp_path: Path) -> No
         scan_files.read(path)
 
 
+@pytest.mark.parametrize("points", ["1 2 3\n4 5 6\n7 8 9\n0 1 2\n", "1 2 3 0.5\n" * 3, ""])
+def test_a_ptx_file_without_intensity_or_points_is_refused(points: str, tmp_path: Path) -> None:
+    """Four points of three numbers are not three points of four, and a missing point is not none."""
+    path = tmp_path / "station.ptx"
+    path.write_text("1\n4\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n" + points)
+    with pytest.raises(FileError, match=r"cut short, or a point has not x, y, z and intensity"):
+        scan_files.read(path)
+
+
 def test_missing_file() -> None:
     """The words are those of the system."""
     for kind in scan_files.SUFFIXES:

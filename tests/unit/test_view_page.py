@@ -153,3 +153,13 @@ def test_seen_samples_are_the_visible_coverage(run: Run) -> None:
     assert expected.fraction == pytest.approx(plan.coverage.visible, abs=1e-12)
     for values in surface.layers.values():
         np.testing.assert_array_equal(np.isfinite(values), expected.covered)
+
+
+def test_a_layer_has_many_classes(run: Run) -> None:
+    """Each of 300 regions has a code of its own."""
+    reference = run.mesh("reference.ply")
+    canvas = canvas_of(reference, draw_samples(reference, run.mesh("planning.ply"), 1000, np.random.default_rng(0)))
+    which = np.arange(1000) % 300
+    layer = run_pages.named_layer("Regions", which, [(f"region {k}", "#000000") for k in range(300)], canvas)
+    np.testing.assert_array_equal(layer.values, which[canvas.vertex_samples()])
+    assert len(layer.named) == 300
