@@ -14,8 +14,8 @@ from cell.inspect.measured import MeasuredPoints
 from cell.metrology import point_files
 from cell.metrology.options import InspectOptions
 from cell.part import mesh_files, workpiece
+from cell.part.formats import STEP, UNITS
 from cell.part.ply_elements import PlyError, read_elements
-from cell.part.workpiece import UNITS
 from cell.runs.run import RecordedExecution, Run, execution_of, open_finished, read_execution
 from cell.scene.model import Scene
 from cell.session import ProgressReporter, Stream, random_stream
@@ -223,17 +223,19 @@ def points_of_views(
 
 def _file_points(source: Path, options: InspectOptions) -> tuple[MeasuredPoints, str]:
     """Return the points of a file, and their source; a mesh with few vertices is sampled."""
-    if options.points_units is None:
+    suffix, units, words = source.suffix.lower(), options.points_units, f"points of {source.name}"
+    if units is None and suffix not in (*STEP, ".3mf"):
         raise UsageError(f"{source} does not state its unit; give --points-units mm, cm, m, um or in")
-    metres, words = UNITS[options.points_units], f"points of {source.name}"
-    mesh = _mesh_of(source)
+    if units not in (None, "m") and suffix == ".3mf":
+        raise UsageError(f"{source} states its unit; omit --points-units")
+    mesh = _mesh_of(source, units or "m")
     if mesh is None:
-        points = metres * point_files.read(source)
+        points = UNITS[units or "m"] * point_files.read(source)
     elif len(mesh.vertices) >= _FINE_MESH:
-        points, words = metres * mesh.vertices, f"vertices of {source.name}"
+        points, words = mesh.vertices, f"vertices of {source.name}"
     else:
         rng = random_stream(0, Stream.DEVIATION_SAMPLES)
-        points = metres * draw_samples(mesh, mesh, _MESH_SAMPLES, rng).points
+        points = draw_samples(mesh, mesh, _MESH_SAMPLES, rng).points
         words = f"surface of {source.name}, {_MESH_SAMPLES:,} samples on {len(mesh.faces):,} triangles"
     if not len(points):
         raise FileError(f"{source} has no points")
@@ -247,8 +249,8 @@ def _single_view(points: Floats, sd: float) -> MeasuredPoints:
     )
 
 
-def _mesh_of(source: Path) -> TriangleMesh | None:
-    """Return the triangles of a file; None for a file of points."""
+def _mesh_of(source: Path, units: str) -> TriangleMesh | None:
+    """Return the triangles of a file [m], as `mesh_files.parse_metres`; None for a file of points."""
     suffix = source.suffix.lower()
     if suffix != ".ply" and suffix in point_files.SUFFIXES:
         return None
@@ -260,7 +262,7 @@ def _mesh_of(source: Path) -> TriangleMesh | None:
             raise FileError(f"{source} {error}") from error
         if face is None or not face.count:
             return None
-    vertices, faces = mesh_files.parse(source, content)
+    vertices, faces = mesh_files.parse_metres(source, content, units)
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 

@@ -107,7 +107,8 @@ class InspectOptions(Table):
     """Points of `cell inspect` from a file."""
 
     points_units: Annotated[
-        Units | None, Option("Unit of the file of points or of the mesh. Never guessed.", _MEASURED)
+        Units | None,
+        Option("Unit of the points or the mesh, unless the file states it (3MF, STEP).", _MEASURED),
     ] = None
     search_mm: Annotated[NotNegative, _INSPECT_SEARCH] = 0.0
     search_deg: Annotated[float, Field(ge=0, le=45), _INSPECT_SEARCH] = 0.0

@@ -61,6 +61,19 @@ def test_points_of_a_file_are_inspected(run_cell: RunCommand, tmp_path: Path) ->
     assert "<CharacteristicStatusEnum>FAIL" in (tmp_path / "checked" / "results.qif").read_text()
 
 
+@needs_cascadio
+@pytest.mark.usefixtures("drawn_pictures")
+def test_a_solid_that_states_its_unit_is_inspected_without_one(run_cell: RunCommand, tmp_path: Path) -> None:
+    """A nominal STEP file as measured mesh has the nominal diameter; a second unit is refused."""
+    (tmp_path / "block.stp").write_text(bored_block())
+    (tmp_path / "block.qif").write_text(bored_block_qif())
+    words = ("inspect", "block.stp", "--part", "block.stp", "--qif", "block.qif", "--out", "checked")
+    message = json.loads(run_cell(*words, "--json", cwd=tmp_path).stdout)
+    values = {each["name"]: each["value"] for each in message["characteristics"]}
+    assert values["Diameter 42"] == pytest.approx(16, abs=0.02)
+    assert run_cell(*words, "--points-units", "mm", cwd=tmp_path).returncode == 2
+
+
 def test_options_of_a_file_are_refused_for_an_execution(run_cell: RunCommand, tmp_path: Path) -> None:
     """A search or a precision of points would not apply to its points."""
     (tmp_path / "executions" / "0001").mkdir(parents=True)
