@@ -34,6 +34,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives (3.7.2.1)
 
 
 _INSTANCING = "EXT_mesh_gpu_instancing"
+_UNIT = 0.01  # largest deviation of the length of a quaternion from 1: numbers may be rounded
 _EXTENSIONS = (_INSTANCING, "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp")
 """Beginnings of the names of extensions that are applied or do not change the surface."""
 
@@ -243,7 +244,11 @@ def _transform(node: Table) -> Floats:
     """Return the transform (4, 4) of a node: its matrix by columns, or translation x rotation x scale (3.5.2)."""
     if "matrix" in node:
         return _numbers(node["matrix"], 16).reshape(4, 4).T
-    x, y, z, w = _numbers(node.get("rotation", [0, 0, 0, 1]), 4)
+    quaternion = _numbers(node.get("rotation", [0, 0, 0, 1]), 4)
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > _UNIT:
+        raise GlbError("has a rotation that is no unit quaternion, which would distort it: export the mesh again")
+    x, y, z, w = quaternion / norm
     rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

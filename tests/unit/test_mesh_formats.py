@@ -294,6 +294,15 @@ def test_morph_weights_of_a_glb_are_applied(tmp_path: Path) -> None:
     assert parse(tmp_path / "m.glb", content)[0][:, 2] == pytest.approx([0.5] * 3)
 
 
+def test_a_rotation_of_a_glb_keeps_lengths(tmp_path: Path) -> None:
+    """A rounded quaternion turns the triangle without distortion; one of another length is refused."""
+    rounded = glb(*gltf({"rotation": [0, 0, 0.707, 0.707]}))  # 90 deg about z
+    vertices = parse(tmp_path / "q.glb", rounded)[0]
+    assert vertices == pytest.approx(np.array([[0, 0, 0], [0, 1, 0], [-1, 0, 0]]), abs=1e-9)
+    with pytest.raises(FileError, match="no unit quaternion"):
+        parse(tmp_path / "q.glb", glb(*gltf({"rotation": [0, 0, 1, 1]})))
+
+
 @pytest.mark.parametrize("name", ["KHR_mesh_quantization", "KHR_draco_mesh_compression", "EXT_unknown"])
 def test_a_required_extension_that_is_not_supported_is_named(tmp_path: Path, name: str) -> None:
     """The file is refused; extensions of materials are harmless."""
