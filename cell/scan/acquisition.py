@@ -225,10 +225,15 @@ class Files:
         self._frame, self._unit = frame_and_unit(context)
         self._wait, self._notify = float(context.options["acquire_wait_s"]), context.notify
         self._now, self._sleep = now, sleep
+        there = [path for path in self._folder.iterdir() if path.is_file()] if self._wait else []
+        self._earlier = {path: _state_of(path) for path in there}
         self.source = f"files of {self._folder.absolute()} ({self._frame} frame, {self._unit})"
 
     def take(self, view: View) -> Acquired | None:
-        """Return the points of a view's file once it is complete; None if it does not appear in time."""
+        """Return the points of a view's file once it is complete; None if it does not appear in time.
+
+        With time to wait, a file that was there before the execution is none: it may be of an earlier one.
+        """
         until, is_notified, size = self._now() + self._wait, False, -1
         while True:
             try:
@@ -236,6 +241,9 @@ class Files:
                 problem = f"{path} is not complete"
                 if path is None:
                     problem = point_files.missing_file(self._folder, view.stop)
+                elif self._earlier.get(path) == _state_of(path):
+                    problem = f"{path} is older than this execution; remove it, or omit --acquire-wait-s to use it"
+                    path = None
                 # A file that is still being written grows: with time to wait, its size must be equal in two checks.
                 before, size = size, -1 if path is None else path.stat().st_size
             except OSError as error:  # a network folder can be away for a moment, and a file can be replaced
@@ -255,6 +263,12 @@ class Files:
                 self._notify(f"the arm is at view {view.stop}; waiting for its points in {self._folder}")
                 is_notified = True
             self._sleep(_POLL_S)
+
+
+def _state_of(path: Path) -> tuple[int, int]:
+    """Return size [bytes] and time of change [ns] of a file."""
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
 
 
 class Command:

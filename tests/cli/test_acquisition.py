@@ -267,7 +267,6 @@ def test_a_folder_that_is_away_for_a_moment(tmp_path: Path) -> None:
     """The arm waits for the points; without them the view is missing, and its cause is named."""
     folder, away, message, time_ = tmp_path / "files", tmp_path / "away", [], [0.0]
     folder.mkdir()
-    (folder / "view_7.xyz").write_text("1 2 3\n")
 
     def sleep(seconds: float) -> None:
         time_[0] += seconds
@@ -277,6 +276,7 @@ def test_a_folder_that_is_away_for_a_moment(tmp_path: Path) -> None:
     options = {"points_frame": "base", "points_units": "cm", "acquire_wait_s": 5.0}
     context = Context(None, options, 0, tmp_path, message.append)  # type: ignore[arg-type]
     files = Files(str(folder), context, now=lambda: time_[0], sleep=sleep)
+    (folder / "view_7.xyz").write_text("1 2 3\n")
     eye = np.eye(4)[None]
     view = View(7, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))
     folder.rename(away)
@@ -284,6 +284,30 @@ def test_a_folder_that_is_away_for_a_moment(tmp_path: Path) -> None:
     shutil.rmtree(folder)
     assert files.take(view) is None
     assert re.search(r"view 7 is missing: .*files cannot be read: No such file", message[-1])
+
+
+def test_a_file_of_an_earlier_execution_is_not_taken(tmp_path: Path) -> None:
+    """While the arm waits, a file that was there before is refused by name, until the scanner replaces it."""
+    path, message, time_, replaced_at = tmp_path / "view_7.xyz", [], [0.0], 9.0
+    path.write_text("1 2 3\n")
+
+    def sleep(seconds: float) -> None:
+        time_[0] += seconds
+        if time_[0] > replaced_at:
+            path.write_text("4 5 6\n7 8 9\n")
+
+    options = {"points_frame": "base", "points_units": "m", "acquire_wait_s": 5.0}
+    context = Context(None, options, 0, tmp_path, message.append)  # type: ignore[arg-type]
+    files = Files(str(tmp_path), context, now=lambda: time_[0], sleep=sleep)
+    eye = np.eye(4)[None]
+    view = View(7, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))
+    assert files.take(view) is None
+    assert "view_7.xyz is older than this execution; remove it" in message[-1]
+    acquired = files.take(view)
+    assert isinstance(acquired, Acquired)
+    np.testing.assert_allclose(acquired.points, [[4, 5, 6], [7, 8, 9]])
+    options["acquire_wait_s"] = 0.0
+    assert isinstance(Files(str(tmp_path), context).take(view), Acquired)
 
 
 @pytest.mark.parametrize(
