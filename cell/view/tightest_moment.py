@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 TIGHTEST: overlays.Colour = (0.93, 0.25, 0.05, 1.0)
 _DISPLAY_TIME = 0.35  # s before and after the moment during which a running playback shows the pair
 _ROD, _BALL = 0.002, 0.005  # m
-_MIN_CAMERA_DISTANCE = 0.7  # m
+_MIN_CAMERA_DISTANCE = 1.2  # m; shows the object around the pair
 _ELEVATIONS_DEG = (-15.0, -35.0, 5.0)
 _SKIN = 0.012  # m; a surface this close in front of a point belongs to the point's own body and does not hide it
 
