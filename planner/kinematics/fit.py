@@ -365,9 +365,9 @@ class ArmKinematics:
             rows = pose[start : start + _CHUNK], branch[start : start + _CHUNK]
             q[rows] = self._newton(T[rows[0]], q[rows])
 
-    def _newton(self, T: Floats, q: Floats) -> Floats:
+    def _newton(self, T: Floats, q: Floats, steps: int = _NEWTON_STEPS) -> Floats:
         """Return q (n, 6) [rad] after Newton's method towards poses T (n, 4, 4); NaN where it does not converge."""
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(steps):
             error = pose_error(self._chain.forward(q), T)
             if np.abs(error).max(initial=0.0) < _EXACT:
                 return q

@@ -148,7 +148,7 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
             ("a scale of 1e300", {"scale": [1e300] * 3}, "has a coordinate of 9e+300, and the limit is 1e+09"),
             ("a translation of 1e300", {"translation": [1e300, 0, 0]}, "has a coordinate of 1e+300"),
             ("a matrix of 1e300", {"matrix": [1e300] * 16}, "check scales and places"),
-            ("a rotation of 1e200", {"rotation": [1e200, 0, 0, 1]}, "coordinates are not numbers"),
+            ("a rotation of 1e200", {"rotation": [1e200, 0, 0, 1]}, "has a rotation that is no unit quaternion"),
         )
     },
     **{
