@@ -150,6 +150,24 @@ def test_are_reachable_agrees_with_solve_reach(poses):
     np.testing.assert_array_equal(are_reachable(T, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, Wall(0.1)), expected)
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("axis", [0, 2, 3, 4])
+def test_are_reachable_finds_a_free_branch_of_any_number(axis, sign):
+    """If only branches with one sign of an axis are free, the views are those that `solve_reach` reaches with them."""
+
+    class Branches(Wall):
+        def free(self, q):
+            return sign * np.sin(q[:, axis] + 0.3) > 0  # equal after whole turns
+
+        def contacts(self, q):
+            return () if self.free(q[None])[0] else ("arm with wall",)
+
+    T = viewpoints_of(random_flanges(400)[:, None]).T_object_scanner
+    expected = solved(viewpoints_of(random_flanges(400)[:, None]), Branches()).reachable
+    assert expected.any()
+    np.testing.assert_array_equal(are_reachable(T, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, Branches()), expected)
+
+
 def test_chunks_and_progress_change_nothing():
     """A viewpoint's result does not depend on its neighbours; exceptions of the progress callback pass."""
     T = random_flanges(1300, seed=4)
