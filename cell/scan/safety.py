@@ -236,8 +236,9 @@ def watch_warning(
     if reached <= covered:
         return ""
     return (
-        f"the path watch stops a deviating arm before contact up to {1000 * covered:.0f} mm/s; a point of arm or "
-        f"scanner reaches {1000 * reached:.0f} mm/s (--speed {0.95 * share * covered / reached:.2g} keeps below)"
+        f"the path watch stops a deviating arm before contact up to {1000 * covered:.0f} mm/s, without its braking "
+        f"distance; a point of arm or scanner reaches {1000 * reached:.0f} mm/s "
+        f"(--speed {0.95 * share * covered / reached:.2g} keeps below)"
     )
 
 
