@@ -31,7 +31,7 @@ _CODE = """
 import sys
 import cell.plan.pose_search as search
 import planner.measurability.direction_table as table
-search.N_EVALUATED, table.N_NODES = {evaluated}, {nodes}
+search.N_EVALUATED, search.EVALUATED_PER_VIEW, table.N_NODES = {evaluated}, 0, {nodes}
 from cell.cli import main
 sys.argv = {words}
 main()

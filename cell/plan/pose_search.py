@@ -46,14 +46,16 @@ MANY_VIEWS = 25
 MARGIN = 0.0014
 """Share of the coverable area beyond the requested coverage that moved views measure at least."""
 
-N_SAMPLES = 20_000
-"""Samples that are drawn for the evaluation of poses."""
-
 N_EVALUATED = 12_000
-"""Samples of these on which poses are evaluated; samples that many candidates measure are thinned out."""
+"""Samples on which poses are evaluated."""
 
-EVALUATED_PER_VIEW = 300
+EVALUATED_PER_VIEW = 600
 """The same for each view, if that is more: with fewer, many views measure the samples instead of the surface."""
+
+MAX_EVALUATED = 40_000
+"""Largest number of samples on which poses are evaluated."""
+
+_DRAWN_PER_EVALUATED = 5 / 3  # samples that many candidates measure are thinned out of the drawn ones
 
 N_COMPARED = 40_000
 """Samples on which found views are compared with those from which the search begins."""
@@ -261,9 +263,10 @@ def draw_evaluated(
         n_views: number of views.
         rng: of the samples.
     """
-    samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
+    count = min(max(N_EVALUATED, EVALUATED_PER_VIEW * n_views), MAX_EVALUATED)
+    samples = draw_samples(surface.reference, surface.planning, round(_DRAWN_PER_EVALUATED * count), rng)
     ease = np.mean([_ease(M, usable, samples) for M, usable in matrices], axis=0)
-    rows, share = _thinned(ease, max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
+    rows, share = _thinned(ease, count)
     return samples.pick(rows), 1.0 / share[rows]
 
 
@@ -275,17 +278,29 @@ def make_table(samples: SurfaceSamples, known: Prediction) -> DirectionTable:
 
 
 def _thinned(ease: Floats, count: int) -> tuple[Ints, Floats]:
-    """Return about `count` of (S,) samples, and the share of each that is kept: all hard ones, few easy ones."""
+    """Return about `count` of (S,) samples, and the share of each that is kept: all hard ones, few easy ones.
+
+    At most half of them have ease 0: no candidate measures their faces, and most are out of reach.
+    """
     if len(ease) <= count:
         return np.arange(len(ease)), np.ones(len(ease))
+    is_measured = ease > 0
+    n_unmeasured = int((~is_measured).sum())
+    kept = min(n_unmeasured, count // 2)
+    share = np.full(len(ease), kept / max(1, n_unmeasured))
+    share[is_measured] = _shares(ease[is_measured], count - kept)
+    return np.flatnonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0), share
+
+
+def _shares(ease: Floats, count: int) -> Floats:
+    """Return (S,) shares whose sum is about `count`, inversely proportional to the ease and at most 1."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         low, high = (
             (low, middle) if np.minimum(1.0, middle / np.maximum(ease, middle)).sum() > count else (middle, high)
         )
-    share = high / np.maximum(ease, high)
-    return np.flatnonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0), share
+    return np.asarray(high / np.maximum(ease, high))
 
 
 def _ease(M: Measurability, usable: Bools, samples: SurfaceSamples) -> Floats:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from cell.plan.pose_search import draw_evaluated
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface
 from planner.cover import CoverProblem, solve
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
@@ -13,9 +15,12 @@ from planner.measurability.direction_table import DirectionTable
 from planner.measurability.visibility import fill_matrix, find_measured
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_search import Place, SearchPoses, search_poses
-from planner.viewpoints.viewpoints import aim_viewpoints
+from planner.viewpoints.viewpoints import aim_viewpoints, viewpoints_from_poses
 
 N = 40
+
+
+BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
 
 
 def _everywhere(T):
@@ -25,8 +30,7 @@ def _everywhere(T):
 @pytest.fixture(scope="module")
 def case():
     """Return a ball of 60 mm, 600 samples, 40 candidates aimed at its centre, and a cover of 98 % of it."""
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
-    mesh = TriangleMesh(ball.vertices, ball.faces)
+    mesh = TriangleMesh(BALL.vertices, BALL.faces)
     samples = draw_samples(mesh, mesh, 600, np.random.default_rng(1))
     scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
@@ -124,3 +128,26 @@ def test_candidates_are_added_if_too_many_views_were_left_out(case):
     ).found  # fmt: skip
     assert [len(views) for views in found] == [40, 38]
     assert share(found[-1]) >= required
+
+
+@pytest.mark.parametrize("n_poses", [2, N])
+def test_evaluated_samples_grow_with_the_views_and_weigh_the_surface(case, n_poses):
+    """10, 30 and 90 views are evaluated on 12,000, 18,000 and 40,000 samples; their weights are shares of the area.
+
+    Two poses measure less than half of the surface. The rest takes half of the samples.
+    """
+    _, scanner, caster, pool = case[:4]
+    T = pool.T_object_scanner[:n_poses]
+    candidates = viewpoints_from_poses(T, np.zeros((n_poses, 3)), np.full(n_poses, -1))
+    mesh = TriangleMesh(BALL.vertices, BALL.faces)
+    rows = draw_samples(mesh, mesh, 4 * len(mesh.faces), np.random.default_rng(3))
+    M, usable = fill_matrix(candidates, rows, scanner, caster), np.ones(n_poses, dtype=bool)
+    for n_views, count in ((10, 12_000), (30, 18_000), (90, 40_000)):
+        samples, weights = draw_evaluated(
+            [(M, usable)], PartSurface(mesh, mesh, rows, caster), n_views, np.random.default_rng(0)
+        )
+        assert 0.98 * count <= len(samples) <= 1.01 * count
+        is_measured = find_measured(T[:, None], samples, scanner, (caster,))
+        assert is_measured.mean() > 0.45
+        share = float(find_measured(T[:, None], rows, scanner, (caster,)).mean())
+        assert float(weights[is_measured].sum() / weights.sum()) == pytest.approx(share, abs=0.01)
