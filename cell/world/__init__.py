@@ -1,1 +1,1 @@
-"""The cell as a MuJoCo model: shapes, guarded pairs, collision, clearance."""
+"""The cell as a MuJoCo model: shapes, checked pairs, collision, clearance."""

@@ -686,7 +686,7 @@ class CheckResult:
             ),
             ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
             ("part in collisions", _FIDELITY[self.collision]),
-            ("guarded pairs", f"{self.guarded_pairs} pairs of shapes"),
+            ("checked pairs", f"{self.guarded_pairs} pairs of shapes"),
             *[("warning", warning) for warning in self.warnings],
             *[("note", finding) for finding in self.findings],
         ]

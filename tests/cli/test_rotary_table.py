@@ -307,14 +307,14 @@ def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) ->
     planned = world_of(run, reference)
     T[0, 3] += 0.004
     there = world_of(run, reference, T_base_object=T)
-    assert [("post", "pedestal") in _guarded(world) for world in (planned, there)] == [False, True]
+    assert [("post", "pedestal") in _checked_pairs(world) for world in (planned, there)] == [False, True]
     np.testing.assert_allclose(there.T_base_object, T, atol=1e-9)
     assert planned.table is not None
     assert there.table is not None
     np.testing.assert_allclose(there.table.T_base_table, planned.table.T_base_table, atol=1e-9)
 
 
-def _guarded(world: World) -> set[tuple[str, str]]:
+def _checked_pairs(world: World) -> set[tuple[str, str]]:
     names = [(world.entities[a], world.entities[b]) for a, b in world.pairs]
     return {*names, *((b, a) for a, b in names)}
 

@@ -311,8 +311,8 @@ def test_the_bracket_is_excluded_from_link_5_only_if_justified(
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}, "mount": mount}), CUBE)
     names = {world.model.exclude(i).name for i in range(world.model.nexclude)}
     assert {name for name in names if name.endswith("bracket_link_5")} == ({excluded} if excluded else set())
-    guarded = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
-    assert (frozenset(("bracket", "link_5")) in guarded) is (excluded is None)
+    checked = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
+    assert (frozenset(("bracket", "link_5")) in checked) is (excluded is None)
 
 
 def test_links_that_always_touch_are_excluded_and_reported(tmp_path: Path) -> None:
@@ -381,15 +381,15 @@ def test_mimic_joints_on_the_base_are_in_the_travel_bound(tmp_path: Path) -> Non
     assert moved <= checker.travel(0 * turned, turned)[0] <= 1.3 * moved
 
 
-@pytest.mark.parametrize(("tip", "guarded"), [(0, False), (0.5, True)])
-def test_a_first_link_that_tips_is_checked_against_the_floor(tmp_path: Path, tip: float, guarded: bool) -> None:
+@pytest.mark.parametrize(("tip", "is_checked"), [(0, False), (0.5, True)])
+def test_a_first_link_that_tips_is_checked_against_the_floor(tmp_path: Path, tip: float, is_checked: bool) -> None:
     """With a tilted A1 link_1 can move down: floor and pedestal are checked against it."""
     text = urdf().replace('<origin xyz="0 0 0.3"/>', f'<origin xyz="0 0 0.3" rpy="{tip} 0 0"/>', 1)
     assert "rpy" in text.split("j2")[0]
     world = compile_world(Scene.model_validate({"robot": {"model": str(written(tmp_path, text))}}), CUBE)
     pairs = {frozenset((world.entities[a], world.entities[b])) for a, b in world.pairs}
-    assert (frozenset(("link_1", "floor")) in pairs) is guarded
-    assert (frozenset(("link_1", "pedestal")) in pairs) is guarded
+    assert (frozenset(("link_1", "floor")) in pairs) is is_checked
+    assert (frozenset(("link_1", "pedestal")) in pairs) is is_checked
 
 
 def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
