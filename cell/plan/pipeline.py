@@ -126,8 +126,8 @@ def plan(session: Session[None], scene: Scene, part: Workpiece | None = None) ->
     """
     if scene.setup:
         raise UsageError(
-            f"the scene has {len(scene.setup)} set-ups, and cell plan plans one: use cell setups, or remove its "
-            "[[setup]] tables"
+            f"the scene has {len(scene.setup)} [[setup]] tables, which cell plan does not use: remove them, or use "
+            "cell setups"
         )
     with open_run(session, scene, part) as run:
         surface, problem, plan = plan_views(run)

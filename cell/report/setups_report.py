@@ -28,28 +28,29 @@ def status(cover: GroupedCover, offered: int, requested: Floats) -> str:
         requested: (P,) share of the coverable samples of each group of regions.
     """
     setups, setups_bound, views, views_bound = len(cover.views), cover.group_bound, cover.n_views, cover.view_bound
+    count = "1 set-up" if setups == 1 else f"{setups} set-ups"
     fewest = (
         f"proven fewest of {offered} set-up candidates"
         if setups <= setups_bound
-        else f"{setups} set-ups, at least {setups_bound} of {offered} candidates are needed"
+        else f"{count}, at least {setups_bound} of {offered} candidates are needed"
     )
     if not cover.is_feasible:
         fewest = f"{setups} of {offered} set-up candidates, too few for the request"
     if cover.upper_area is not None:
         points = 100 * (cover.upper_area - cover.covered_area) / max(cover.upper_area, 1e-300)
         if points <= 0:
-            return f"{fewest}; proven maximum coverage for {views} views of the candidates in {setups} set-ups"
-        return f"{fewest}; {views} views in {setups} set-ups cannot exceed this by more than {max(points, 0.01):.2f} %"
+            return f"{fewest}; proven maximum coverage for {views} views of the candidates in {count}"
+        return f"{fewest}; {views} views in {count} cannot exceed this by more than {max(points, 0.01):.2f} %"
     if cover.cost_and_bound is not None:
         paid, least = cover.cost_and_bound
-        in_all = "with the costs of set-ups" if cover.has_group_costs else f"in {setups} set-ups"
+        in_all = "with the costs of set-ups" if cover.has_group_costs else f"in {count}"
         return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
     raised = not np.array_equal(cover.targets, requested)
     at = f", at {comma_list(np.round(100 * cover.targets, 2))} % of the samples for the request" if raised else ""
     if views <= views_bound:
-        return f"{fewest}; optimal for the candidates in {setups} set-ups (bound {views_bound}){at}"
+        return f"{fewest}; optimal for the candidates in {count} (bound {views_bound}){at}"
     more = views - views_bound
-    return f"{fewest}; at most {more} {'view' if more == 1 else 'views'} more than the fewest in {setups} set-ups{at}"
+    return f"{fewest}; at most {more} {'view' if more == 1 else 'views'} more than the fewest in {count}{at}"
 
 
 def rows(file: SetupsFile) -> list[tuple[str, str]]:

@@ -157,7 +157,7 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
         assert names == (["vise"] if setup["candidate"] == 1 else [])
     process = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path, code=2)
-    assert "the scene has 3 set-ups, and cell plan plans one: use cell setups" in process.stderr
+    assert "the scene has 3 [[setup]] tables, which cell plan does not use" in process.stderr
 
 
 def test_equal_set_ups_are_refused(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
