@@ -165,10 +165,14 @@ def read_step(source: str, content: bytes, units: str = "m") -> StepModel:
         UsageError: if both the file and the caller state a unit, or neither does.
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
+    others = _other_files(content)
+    content = _without_marks(content)
     factor = _factor_to_metres(source, content, units)
     content, n_hidden = _without_hidden_bodies(content)
-    groups = _solids_and_sheets(content)
+    groups = _solids_and_sheets(_without_styles(content))
     model = _read_groups(source, groups, 1.0)
+    if not len(model.faces):
+        raise _no_surface(source, others)
     error = _volume_error(source, groups, model)
     if error > MAX_VOLUME_ERROR:
         scale = max((MAX_VOLUME_ERROR / (2 * error)) ** 0.5, 1 / 16)  # the error grows with the square of the angle
@@ -177,6 +181,9 @@ def read_step(source: str, content: bytes, units: str = "m") -> StepModel:
     if error > MAX_VOLUME_ERROR:
         sentence = f"the triangles differ from the surfaces of the file by {100 * error:.2g} % of the volume"
         model = replace(model, findings=(*model.findings, Finding(Kind.COARSE, sentence, Severity.WARNING)))
+    if others:
+        sentence = f"parts in other files are missing ({others}); export all as one file to measure them"
+        model = replace(model, findings=(Finding(Kind.OTHER_FILES, sentence, Severity.WARNING), *model.findings))
     if n_hidden:
         bodies = "1 hidden body is" if n_hidden == 1 else f"{n_hidden} hidden bodies are"
         note = Finding(Kind.HIDDEN, f"{bodies} left out; show them in the CAD program to measure them", Severity.NOTE)
@@ -196,6 +203,15 @@ def _factor_to_metres(source: str, content: bytes, units: str) -> float:
     elif units == "m" and b"SHAPE_REPRESENTATION" in content:
         raise UsageError(f"{source} does not state its unit; give the units: mm, cm, um or in")
     return 1.0 if units == "m" else UNITS[units] / UNITS["mm"]
+
+
+_TEXT = re.compile(rb"/\*.*?(?:\*/|\Z)|'[^']*'", re.DOTALL)
+_MARKS = bytes.maketrans(b"();#", b"____")
+
+
+def _without_marks(content: bytes) -> bytes:
+    """Remove comments, and the brackets, semicolons and number signs of names, which separate entities elsewhere."""
+    return _TEXT.sub(lambda match: b" " if match[0][:1] == b"/" else match[0].translate(_MARKS), content)
 
 
 _ENTITY = re.compile(rb"#(\d+)\s*=\s*(\w+)\s*\(([^;]*)\)\s*;")
@@ -239,15 +255,31 @@ def _without_items(content: bytes, items: set[bytes]) -> bytes:
     return _ENTITY.sub(remaining, content)
 
 
+_STYLE = re.compile(rb"=\s*(?:OVER_RIDING_)?STYLED_ITEM\s*\([^;]*;", re.IGNORECASE)
+
+
+def _without_styles(content: bytes) -> bytes:
+    """Remove the colours: Open CASCADE would split a product by colour, and describe the faces of one of them only."""
+    return _STYLE.sub(b"=REPRESENTATION_ITEM('');", content)
+
+
 _SOLIDS = (b"SOLID_BREP", b"FACETED_BREP", b"BREP_WITH_VOIDS", b"TESSELLATED_SOLID")
 _PLACES = (b"AXIS2_PLACEMENT_3D", b"MAPPED_ITEM")
 
 
-def _solids_and_sheets(content: bytes) -> list[bytes]:
-    """Return a file with the solids of a file only, and one with its other surfaces; [content] if it has not both.
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """A part of a STEP file that is read by itself, and whether it has solids only."""
+
+    content: bytes
+    only_solids: bool
+
+
+def _solids_and_sheets(content: bytes) -> list[_Group]:
+    """Return the solids of a file, and its other surfaces; the file as it is if it has not both.
 
     Surfaces beside a solid can cover it or share its edges, so the triangles of both together are not closed. The
-    tessellated copy of an exact solid is left out.
+    tessellated copy of an exact solid, and the faces of solids to which annotations refer, are left out.
     """
     entities = {number: (kind.upper(), parameters) for number, kind, parameters in _ENTITY.findall(content)}
     shape_items = {
@@ -262,20 +294,23 @@ def _solids_and_sheets(content: bytes) -> list[bytes]:
         item for item in solids
         if kinds[item] == b"TESSELLATED_SOLID" and solids & set(_REFERENCE.findall(entities[item][1])[-1:])
     }  # fmt: skip
-    sheets = {item for item, kind in kinds.items() if kind and item not in solids and kind not in _PLACES}
+    for kind, parameters in entities.values():
+        copies |= kinds.keys() & _REFERENCE.findall(parameters) if kind == b"CLOSED_SHELL" else set()
+    sheets = {item for item, kind in kinds.items() if kind and kind not in _PLACES} - solids - copies
     if not solids or not (sheets or copies):
-        return [content]
-    only_solids = _without_items(content, sheets | copies)
-    return [only_solids, _without_items(content, solids)] if sheets else [only_solids]
+        return [_Group(content, bool(solids))]
+    groups = [_Group(_without_items(content, sheets | copies), only_solids=True)]
+    return [*groups, _Group(_without_items(content, solids | copies), only_solids=False)] if sheets else groups
 
 
-def _read_groups(source: str, groups: list[bytes], scale: float) -> StepModel:
+def _read_groups(source: str, groups: list[_Group], scale: float) -> StepModel:
     """Return the solids of all groups, triangulated with tolerances that are scaled."""
     bodies: list[_Body] = []
-    for number, content in enumerate(groups):
-        glb_content = _triangulate(source, content, scale=scale, may_be_empty=number > 0)
+    for number, group in enumerate(groups):
+        glb_content = _triangulate(source, group.content, scale=scale, may_be_empty=number > 0)
         try:
-            bodies += _bodies(glb_content, sum(len(body.cad) for body in bodies)) if glb_content else []
+            count = sum(len(body.cad) for body in bodies)
+            bodies += _bodies(glb_content, count, of_solid=group.only_solids) if glb_content else []
         except (glb.GlbError, KeyError, TypeError, ValueError) as error:
             raise _broken_file(source) from error
     try:
@@ -284,7 +319,7 @@ def _read_groups(source: str, groups: list[bytes], scale: float) -> StepModel:
         raise _broken_file(source) from error
 
 
-def _volume_error(source: str, groups: list[bytes], model: StepModel, scale: float = 1.0) -> float:
+def _volume_error(source: str, groups: list[_Group], model: StepModel, scale: float = 1.0) -> float:
     """Return the difference between the volumes of triangles and surfaces, as a share of the volume.
 
     The distance of surfaces with parameters is integrated over their triangles, at the middles of their edges, which is
@@ -341,6 +376,7 @@ def read_coloured_step(source: str, content: bytes, units: str = "m") -> tuple[F
         UsageError: if both the file and the caller state a unit, or neither does.
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
+    content = _without_marks(content)
     factor = _factor_to_metres(source, content, units)
     try:
         # With one primitive per face; merged ones would have only the colour of their body.
@@ -390,7 +426,7 @@ def _triangulate(
             raise FileError(f"{source} makes Open CASCADE fail (exit code {process.returncode}); export it again")
         glb_content = glb_file.read_bytes()
     if not glb_content and not may_be_empty:
-        raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
+        raise _no_surface(source, _other_files(content))
     return glb_content
 
 
@@ -404,22 +440,40 @@ def states_unit(content: bytes) -> bool:
     return False
 
 
+def _other_files(content: bytes) -> str:
+    """Return the names of the STEP files to which an assembly refers, as text."""
+    found = re.findall(rb"DOCUMENT_FILE\s*\(\s*'([^']*\.(?:stp|step))'", content, re.IGNORECASE)
+    names = [name.decode(errors="replace") for name in dict.fromkeys(found)]
+    return ", ".join([*names[:5], *(["..."] if len(names) > 5 else [])])
+
+
+def _no_surface(source: str, others: str) -> FileError:
+    if others:
+        return FileError(f"{source} has no surface, its parts are in other files ({others}); export all as one file")
+    return FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
+
+
 def _broken_file(source: str) -> FileError:
     return FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Body:
-    """A surface of the file: one solid, several, or none."""
+    """A surface of the file: one solid, several, or none; `of_solid` if the file says so, `closed` by triangle."""
 
     vertices: Floats
     faces: Ints
     face_of: Ints
     cad: tuple[CadFace, ...]
-    solid: NDArray[np.bool_]
+    of_solid: bool
+    closed: NDArray[np.bool_]
+
+    def area(self, mask: NDArray[np.bool_]) -> float:
+        """Return the area of triangles [m^2]."""
+        return float(double_areas(self.vertices, self.faces[mask]).sum()) / 2
 
 
-def _bodies(glb_content: bytes, count: int = 0) -> Iterator[_Body]:
+def _bodies(glb_content: bytes, count: int, *, of_solid: bool) -> Iterator[_Body]:
     """Yield the surfaces with their CAD faces, numbered consecutively from `count` + 1."""
     for primitive in glb.primitives(glb_content):
         extension = primitive.extensions.get("TM_brep_faces")
@@ -429,7 +483,7 @@ def _bodies(glb_content: bytes, count: int = 0) -> Iterator[_Body]:
             raise ValueError("not every triangle has a face number")
         described = described or [None] * (int(face_of.max(initial=-1)) + 1)
         cad = tuple(cad_face(count + k + 1, each or {}, primitive.T) for k, each in enumerate(described))
-        yield _Body(primitive.vertices, primitive.faces, face_of, cad, _is_solid(primitive))
+        yield _Body(primitive.vertices, primitive.faces, face_of, cad, of_solid, _is_closed(primitive))
         count += len(cad)
 
 
@@ -458,7 +512,7 @@ def cad_face(number: int, described: glb.Table, T: Floats) -> CadFace:
     )
 
 
-def _is_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
+def _is_closed(primitive: glb.Primitive) -> NDArray[np.bool_]:
     """Return whether each triangle (F,) belongs to a closed surface; triangles without area count as closed."""
     _, place = np.unique(primitive.vertices, axis=0, return_inverse=True)
     faces = place.ravel()[primitive.faces]
@@ -475,9 +529,10 @@ def _is_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
 
 def _join_solids(bodies: list[_Body]) -> StepModel:
     """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
-    any_solid = any(body.solid.any() for body in bodies)
-    selection = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in bodies]
-    omitted = sum(float(double_areas(body.vertices, body.faces[~mask]).sum()) / 2 for body, mask in selection)
+    any_solid = any(body.of_solid or body.area(body.closed) > 0 for body in bodies)
+    selection = [(body, body.closed | (body.of_solid or not any_solid)) for body in bodies]
+    omitted = sum(body.area(~mask) for body, mask in selection)
+    gaps = sum(body.area(~body.closed) for body in bodies if body.of_solid)
     vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[mask]) for body, mask in selection)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]
@@ -493,4 +548,10 @@ def _join_solids(bodies: list[_Body]) -> StepModel:
             "them in the CAD program"
         )
         findings = (Finding(Kind.NO_SOLID, sentence, Severity.WARNING),)
+    if gaps:
+        sentence = (
+            f"solids with a surface of {1e6 * gaps:.4g} mm² have gaps: Open CASCADE left out faces, or their edges do "
+            "not meet; repair them in the CAD program"
+        )
+        findings = (*findings, Finding(Kind.GAPS, sentence, Severity.WARNING))
     return StepModel(vertices, faces, cad, findings)

@@ -35,6 +35,8 @@ class Kind(StrEnum):
     NON_MANIFOLD = "non_manifold"
     BODIES = "several_bodies"
     NO_SOLID = "no_solid"
+    GAPS = "solids_with_gaps"
+    OTHER_FILES = "other_files"
     HIDDEN = "hidden_bodies"
     COARSE = "coarse_triangles"
     UNITS = "units"

@@ -124,6 +124,67 @@ def test_the_tessellated_copy_of_a_solid_is_no_second_body(tmp_path: Path) -> No
     assert (part.findings, volume(part)) == ((), pytest.approx(72_000e-9))
 
 
+def faces_of(file: StepFile) -> list[str]:
+    """Return the references of the faces so far, in the order of the file."""
+    return [f"#{k + 1}" for k, line in enumerate(file.lines) if line.startswith("ADVANCED_FACE")]
+
+
+@needs_cascadio
+@pytest.mark.parametrize("coloured", [[0], [2, 6], range(7)])
+def test_colours_of_faces_change_neither_numbers_nor_kinds(tmp_path: Path, coloured: list[int]) -> None:
+    """A solid with coloured faces is one solid with all its faces."""
+    plain, part = [None, None]
+    for number, faces in enumerate(([], coloured)):
+        file = StepFile()
+        file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+        file.block((80, 0, 0), (100, 20, 20), None)
+        grey = [(file.solids[0], (0.9, 0.9, 0.9))] if faces else []
+        file.colours += [*grey, *((faces_of(file)[k], (1.0 - 0.1 * k, 0.0, 0.0)) for k in faces)]
+        plain, part = part, load(written(tmp_path, file.text(), f"{number}.stp"))
+    assert (part.cad.counts(), part.findings) == ({"plane": 12, "cylinder": 1}, plain.findings)
+    assert part.cad.areas(part.reference) == pytest.approx(plain.cad.areas(plain.reference))
+    check_faces(part)
+
+
+@needs_cascadio
+def test_a_face_to_which_an_annotation_refers_is_no_second_surface(tmp_path: Path) -> None:
+    """Faces of a solid can be items of another representation, too."""
+    file = StepFile()
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    file.others.append(("SHAPE_REPRESENTATION", faces_of(file)[-1], "callout"))
+    part = load(written(tmp_path, file.text()))
+    assert (part.cad.counts(), part.findings) == ({"plane": 6, "cylinder": 1}, ())
+
+
+@needs_cascadio
+def test_a_solid_with_a_missing_face_is_read_beside_a_closed_one(tmp_path: Path) -> None:
+    """Both solids are the part, and the gap is reported."""
+    file = StepFile()
+    file.block((0, 0, 0), (60, 40, 30), None)
+    file.block((80, 0, 0), (100, 20, 20), None)
+    text = file.text().replace(f"{faces_of(file)[-1]}))", "))").replace(",))", "))")
+    part = load(written(tmp_path, text))
+    assert part.size == pytest.approx([0.1, 0.04, 0.03], abs=1e-7)
+    assert part.cad.counts() == {"plane": 11}
+    assert part.reference.areas.sum() == pytest.approx(10_800e-6 + 5 * 400e-6)
+    assert part.findings[0].kind == Kind.GAPS
+    assert "surface of 2000 mm²" in part.findings[0].sentence
+
+
+@needs_cascadio
+def test_parts_in_other_files_are_named(tmp_path: Path) -> None:
+    """An assembly without its parts is refused; what is missing beside a solid is a warning."""
+    file = StepFile()
+    file.add("DOCUMENT_FILE('bolt.stp','','',$,'',$)")
+    file.add("DOCUMENT_FILE('drawing.pdf','','',$,'',$)")
+    with pytest.raises(FileError, match=r"its parts are in other files \(bolt.stp\)"):
+        load(written(tmp_path, file.text()))
+    file.block((0, 0, 0), (60, 40, 30), None)
+    part = load(written(tmp_path, file.text()))
+    assert [finding.kind for finding in part.findings] == [Kind.OTHER_FILES]
+    assert part.findings[0].sentence.startswith("parts in other files are missing (bolt.stp)")
+
+
 @needs_cascadio
 @pytest.mark.parametrize("radius", [1.0, 8.0, 50.0])
 def test_round_parts_have_their_volume_within_a_thousandth(tmp_path: Path, radius: float) -> None:
@@ -254,6 +315,26 @@ def test_hidden_bodies_are_left_out_and_reported(tmp_path: Path, by_layer: bool)
     part = load(written(tmp_path, file.text()))
     assert part.size == pytest.approx([0.06, 0.04, 0.03], abs=1e-7)
     assert "1 hidden body is left out" in part.findings[0].sentence
+
+
+@needs_cascadio
+@pytest.mark.parametrize("name", ["part (1)", "a;b", "it''s (2", "(1,2);#3", "/* x", "\\X2\\96F64EF6\\X0\\ (1)"])
+def test_names_can_be_any_text(tmp_path: Path, name: str) -> None:
+    """Brackets and semicolons in names separate nothing: a hidden solid and a sheet are left out."""
+    file = StepFile()
+    file.add("/* don't; (count) */ DIRECTION('',(0.,0.,1.))")
+    file.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
+    file.block((80, 0, 0), (100, 20, 20), None)
+    hidden = file.solids[1]
+    file.solids.append(file.sheet_on((0, 0, 30), (60, 0, 30), (60, 40, 30)))
+    item = file.add(f"STYLED_ITEM('',(),{hidden})")
+    file.add(f"INVISIBILITY(({item}))")
+    text = file.text()
+    for entity in ("STYLED_ITEM('", "MANIFOLD_SOLID_BREP('", "SHAPE_REPRESENTATION('", "SHELL('"):
+        text = text.replace(entity, entity + name)
+    part = load(written(tmp_path, text))
+    assert [finding.kind for finding in part.findings] == [Kind.HIDDEN, Kind.NO_SOLID]
+    assert part.cad.counts() == {"plane": 6, "cylinder": 1}
 
 
 @needs_cascadio
