@@ -137,6 +137,10 @@ def _colour(described: Table, material: Any) -> tuple[float, float, float] | Non
 def _json_file(content: bytes, folder: Path) -> tuple[Table, list[bytes]]:
     """Return the scene description of a .gltf, and its buffers: base64, or files in its folder or below."""
     described = _description(decode(content))
+    asset = described.get("asset")
+    version = asset.get("version") if isinstance(asset, Mapping) else None
+    if version is not None and not str(version).startswith("2"):
+        raise GlbError(f"is glTF of version {str(version)[:20]}; supported is version 2: export it again")
     buffers = []
     for buffer in _list(described, "buffers"):
         uri = buffer.get("uri")

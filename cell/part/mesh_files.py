@@ -1,7 +1,7 @@
 """Geometry files as arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, glTF, 3MF, STEP; coloured meshes.
 
 The readers of this package check counts and indices against the content, because a mesh library that skips what it does
-not know returns another part. Coordinates are not scaled. Vertices at exactly the same position are merged, because STL
+not know returns another part. Coordinates are not scaled. Vertices at the same position are merged, because STL
 repeats a corner in each face, and the other formats repeat it at seams.
 """
 
@@ -38,6 +38,10 @@ _OTHER_CONTENT = {
     b"gltf\x02": ("is a binary glTF file; name it .glb", ".glb"),
 }
 """Sentence for the first bytes of other files, and the suffixes that may have them."""
+
+_ROUNDING = 1e-12
+"""Distance of equal vertices as a share of the largest coordinate: CAD programs write rounding errors, such as 1e-17
+for zero, which differ between the corners at one vertex."""
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
@@ -188,7 +192,7 @@ def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
         return rows["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * announced).reshape(-1, 3)
     is_text = b"\0" not in content.strip(b"\0") or content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
     text = decode(content) if is_text else ""
-    if text.lstrip("\ufeff \t\r\n\0")[:5].lower() == "solid" and "facet" in text.lower():
+    if text.lstrip("\ufeff \t\r\n\0")[:5].lower() == "solid" and re.search("facet|endsolid", text, re.IGNORECASE):
         return _parse_ascii_stl(path, text)
     if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
         raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
@@ -244,9 +248,13 @@ def _without_names(text: str) -> str:
 
 
 def _merge_vertices(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """Merge vertices at equal positions (bit by bit), in the order of first use; drop unused ones."""
+    """Merge vertices at equal positions, in the order of first use; drop unused ones."""
+    has_face = np.zeros(len(vertices), np.bool_)
+    has_face[faces] = True
     places = vertices + 0.0  # minus zero becomes zero
-    bits = np.ascontiguousarray(places).view(np.uint64)
+    size = np.abs(vertices[has_face])
+    step = _ROUNDING * size.max(initial=0.0, where=np.isfinite(size)) or 1.0
+    bits = np.ascontiguousarray(np.rint(places / step) + 0.0).view(np.uint64)
     with np.errstate(over="ignore"):
         key = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
         for column in (1, 2):

@@ -141,10 +141,13 @@ def read_off(content: bytes) -> PolygonMesh:
     n_vertices, n_faces = int(counts[0]), int(counts[1])
     rows = filled[1:]
     if len(rows) != n_vertices + n_faces:
-        raise PolygonError(
-            f"announces {n_vertices} vertices and {n_faces} faces but has {len(rows)} rows, one is needed for each; "
-            "export or copy it again"
-        )
+        broken = _off_rows(" ".join(lines[k] for k in rows).split(), n_vertices, n_faces)
+        if broken is None:
+            raise PolygonError(
+                f"announces {n_vertices} vertices and {n_faces} faces but has {len(rows)} rows, one is needed for "
+                "each; export or copy it again"
+            )
+        lines, rows = broken, list(range(len(broken)))
     of_vertices, of_faces = rows[:n_vertices], rows[n_vertices:]
     vertices = _vertices([lines[k] for k in of_vertices], of_vertices)[0]
     numbers, widths = _table([lines[k] for k in of_faces], of_faces)
@@ -163,6 +166,20 @@ def read_off(content: bytes) -> PolygonMesh:
         is_share = any("." in lines[k] for k in of_faces) and colours.max() <= 1
         return PolygonMesh(vertices, mesh.corners, sizes, colours * 255 if is_share else colours)
     return mesh
+
+
+def _off_rows(words: list[str], n_vertices: int, n_faces: int) -> list[str] | None:
+    """Return the rows of an OFF file with line breaks elsewhere; None if its words are not coordinates and corners."""
+    at = 3 * n_vertices
+    if at > len(words):
+        return None
+    rows = [" ".join(words[k : k + 3]) for k in range(0, at, 3)]
+    for _ in range(n_faces):
+        if at >= len(words) or not words[at].isdecimal():
+            return None
+        begin, at = at, at + 1 + int(words[at])
+        rows.append(" ".join(words[begin:at]))
+    return rows if at == len(words) else None
 
 
 def read_ply(content: bytes) -> PolygonMesh:

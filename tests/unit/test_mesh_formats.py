@@ -14,8 +14,9 @@ import pytest
 
 from benchmarks import generated_files
 from cell.errors import FileError
+from cell.part.mesh_checks import Kind
 from cell.part.mesh_files import parse, read_coloured
-from cell.part.workpiece import load
+from cell.part.workpiece import from_arrays, load
 from planner.values import Floats
 
 PROFILE = [(0, 0), (100, 0), (100, 30), (30, 30), (30, 80), (0, 80)]
@@ -220,6 +221,17 @@ def test_off_counts_are_checked(tmp_path: Path, head: str) -> None:
         measures(tmp_path / "b.off", b"OFF BINARY\n\0\0\0\x0c")
 
 
+def test_off_with_line_breaks_elsewhere(tmp_path: Path) -> None:
+    """Words count in an OFF file without colours, wherever its lines end; a missing word is refused."""
+    head, counts, *rows = off(prism()[1]).splitlines()
+    words = " ".join(rows).split()
+    for body in ("\n".join(words), " ".join(words), "\n".join(rows).replace("6 7 8 9", "6 7\n\n8 9")):
+        assert measures(tmp_path / "l.off", f"{head}\n{counts}\n{body}\n")[:2] == pytest.approx((AREA, VOLUME))
+    for wrong in (words[:-1], [*words, "1"], words[:30]):
+        with pytest.raises(FileError, match="announces 12 vertices and 8 faces but has"):
+            measures(tmp_path / "l.off", "\n".join([head, counts, *wrong]))
+
+
 @pytest.mark.parametrize("name", ["L", "零件1", "assembly - vertex facet_1", "end loop"])
 @pytest.mark.parametrize("encoding", ["utf-8", "gbk", "utf-8-sig", "utf-16"])
 def test_ascii_stl_names_and_encodings(tmp_path: Path, name: str, encoding: str) -> None:
@@ -309,6 +321,12 @@ def test_a_required_extension_that_is_not_supported_is_named(tmp_path: Path, nam
     with pytest.raises(FileError, match=name):
         measures(tmp_path / "r.glb", glb(*gltf(extensionsRequired=[name])))
     assert measures(tmp_path / "k.glb", glb(*gltf(extensionsRequired=["KHR_materials_unlit"])))[0] == pytest.approx(0.5)
+
+
+def test_the_version_of_a_gltf_is_named(tmp_path: Path) -> None:
+    """Version 1 has objects for lists."""
+    with pytest.raises(FileError, match=r"is glTF of version 1\.0; supported is version 2"):
+        measures(tmp_path / "v.gltf", json.dumps({"asset": {"version": "1.0"}, "buffers": {"b": {}}}))
 
 
 def test_a_skin_is_refused(tmp_path: Path) -> None:
@@ -488,6 +506,33 @@ def test_straight_corners_are_joined_to_their_neighbours(tmp_path: Path, suffix:
     assert part.reference.areas.sum() == pytest.approx(AREA * 1e-6)
 
 
+@pytest.mark.parametrize("shift", [0.0, 1.0])
+def test_rounding_errors_do_not_open_the_surface(tmp_path: Path, shift: float) -> None:
+    """Corners that differ by the rounding of coordinates are one vertex; a millionth of the part is a gap."""
+    corners = np.array(prism(shift)[0])[np.array(stl_triangles())]
+    tags = [Kind.OPEN, Kind.BODIES]
+    for error, findings in ((1e-15, []), (1e-4, tags)):
+        noise = error * np.random.default_rng(0).standard_normal(corners.shape)
+        part = from_arrays("l", (corners + noise).reshape(-1, 3), np.arange(60).reshape(-1, 3), "mm")
+        assert [finding.kind for finding in part.findings] == findings
+    numbers = corners.astype("<f4")
+    numbers[::3][numbers[::3] == 0] = 1e-17
+    rows = np.zeros(20, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    rows["corners"] = numbers
+    (tmp_path / "l.stl").write_bytes(bytes(80) + struct.pack("<I", 20) + rows.tobytes())
+    assert load(tmp_path / "l.stl", "mm").findings == ()
+
+
+def test_a_vertex_without_a_face_does_not_change_the_others(tmp_path: Path) -> None:
+    """A far vertex of no face does not merge those of the faces; one that is not a number is named."""
+    vertices = np.array(prism()[0])
+    text = obj((vertices * 1e-6).tolist(), prism()[1]).replace("f ", "v 1e9 0 0\nf ", 1)
+    assert measures(tmp_path / "l.obj", text)[:2] == pytest.approx((AREA * 1e-12, VOLUME * 1e-18))
+    vertices[3] = np.nan
+    with pytest.raises(FileError, match="1 vertices whose coordinates are not numbers"):
+        from_arrays("l", vertices, np.array(stl_triangles()), "mm")
+
+
 def test_bytes_behind_the_announced_faces_are_not_lost(tmp_path: Path) -> None:
     """A binary STL of two bodies one after the other, and a PLY with more rows than announced, are refused."""
     vertices, _ = prism()
@@ -510,6 +555,7 @@ def test_bytes_behind_the_announced_faces_are_not_lost(tmp_path: Path) -> None:
     ("change", "sentence"),
     [
         (lambda text: text.replace("endsolid L", ""), "does not end with 'endsolid'"),
+        (lambda _: "solid nothing\nendsolid nothing\n", "holds no faces"),
         (lambda text: text.replace("vertex 0 0 0", "vertex 0 0 0 0", 1), "line 13: 0 0 0 0; it needs three numbers"),
         (lambda text: text.replace("vertex 0 0 0", "vertex 0 0 0\nvertex 1 0 0", 1), r"with 4 corners \(facet 2\)"),
         (lambda text: text.replace("endfacet\nendsolid", "endsolid"), "last facet is not complete"),
