@@ -24,9 +24,10 @@ from cell.part.workpiece import Workpiece
 from cell.scene.features import CharacteristicTable, FeatureTable
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 _NEAR = 5e-5  # m; corner of a face from the triangles of the same face: they leave it by up to `cad.DEVIATION_MM`
+_SCALE = 1e-3  # largest difference of equal scales
 _NAME = 60  # characters; longer names are cut
 LENGTHS = {
     "m": 1.0, "meter": 1.0, "metre": 1.0, "cm": 1e-2, "centimeter": 1e-2, "centimetre": 1e-2, "mm": 1e-3,
@@ -44,17 +45,24 @@ _SURFACES = {
     "Torus23": SurfaceKind.TORUS,
 }
 _KINDS = {
-    "Diameter": "size", "Width": "size", "Angle": "angle", "AngleBetween": "angle", "DistanceBetween": "distance",
-    "Straightness": "straightness",
+    "Diameter": "size", "SphericalDiameter": "size", "Width": "size", "Angle": "angle", "AngleBetween": "angle",
+    "DistanceBetween": "distance", "Straightness": "straightness",
     "Flatness": "form", "Circularity": "roundness", "Cylindricity": "form", "Sphericity": "form", "Conicity": "form",
     "Position": "position", "Parallelism": "parallelism", "Perpendicularity": "perpendicularity",
     "Angularity": "angularity", "SurfaceProfile": "profile", "CircularRunout": "runout",
     "TotalRunout": "total-runout", "Concentricity": "coaxiality", "Coaxiality": "coaxiality",
 }  # fmt: skip
+_MEASURED = {
+    "Diameter": ("cylinder", "sphere"), "SphericalDiameter": ("cylinder", "sphere"), "Width": ("width",),
+    "Angle": ("cone", "width"),
+}  # fmt: skip
+"""Features of sizes: the size of a cone is its angle."""
+
 _FEATURES = {
-    "Plane": "plane", "Cylinder": "cylinder", "CylindricalSegment": "cylinder", "Cone": "cone", "Sphere": "sphere",
-    "OppositeParallelPlanes": "width", "OppositeAngledPlanes": "width", "OtherNonShape": "surface",
-    "OtherSurface": "surface", "Freeform": "surface", "PointDefinedSurface": "surface",
+    "Plane": "plane", "Cylinder": "cylinder", "CylindricalSegment": "cylinder", "Cone": "cone",
+    "ConicalSegment": "cone", "Sphere": "sphere", "SphericalSegment": "sphere", "OppositeParallelPlanes": "width",
+    "OppositeAngledPlanes": "width", "OtherNonShape": "surface", "OtherSurface": "surface", "Freeform": "surface",
+    "PointDefinedSurface": "surface",
 }  # fmt: skip
 
 
@@ -136,11 +144,14 @@ class _Reader:
     def __init__(self, root: ElementTree.Element, part: Workpiece, cad: CadModel) -> None:
         self._root, self._cad = root, cad
         self._by_id = {each.get("id"): each for each in root.iter() if each.get("id")}
-        self._linear, self._primary = self._units("LinearUnit")
-        angles = [self._units(tag) for tag in ("AngularUnit", "PMIAngularUnit")]  # the latter is that of tolerances
+        shapes, primary = self._units("LinearUnit", LENGTHS)
+        sizes, size_primary = self._units("PMILinearUnit", LENGTHS)  # overrides that of points in characteristics
+        self._linear, self._primary = shapes | sizes, size_primary or primary
+        angles = [self._units(tag, ANGLES) for tag in ("AngularUnit", "PMIAngularUnit")]  # likewise
         self._angular = {name: factor for factors, _ in angles for name, factor in factors.items()}
         self._primary_angle = next((primary for _, primary in reversed(angles) if primary), "radian")
-        self._faces = _FaceFinder(self._by_id, self._linear.get(self._primary, 1e-3), part, cad)
+        self._metres = shapes.get(primary, 1e-3)
+        self._faces = _FaceFinder(self._by_id, self._metres, part, cad)
         self._tables: dict[tuple[int, ...], dict[str, object]] = {}
         self._result = QifContent()
         self._letters: dict[str, str] = {}
@@ -148,6 +159,16 @@ class _Reader:
 
     def read(self) -> QifContent:
         content = self._result
+        try:
+            scale, ratio = self._faces.scale(), self._size_ratio()
+        except _UnsupportedError:  # its items are named below
+            scale, ratio = 1.0, 1.0
+        if abs(scale - 1) > _SCALE and abs(scale * ratio - 1) < _SCALE:
+            self._faces.rescale(1 / scale)
+            content.notes.append(
+                f"the model of the file is {scale:.4g} times as large as the part and as its own sizes; its faces are "
+                "found at the size of the part"
+            )
         for definition in self._root.iterfind("DatumDefinitions/DatumDefinition"):
             letter = definition.findtext("DatumLabel") or ""
             try:
@@ -163,9 +184,11 @@ class _Reader:
                 content.unsupported.append(f"{name} ({kind}): {error}")
         content.features += [FeatureTable.model_validate(table) for table in self._tables.values()]
         if not content.features and self._faces.has_unknown:
+            cause = "it is the file of another part, or its model has another place or unit"
+            if abs(scale - 1) > _SCALE:
+                cause = f"its model is {scale:.4g} times as large"
             content.notes.append(
-                "no face of the file is a face of the part: it is the file of another part, or its model has another "
-                "place or unit; export it from the model of the STEP file"
+                f"no face of the file is a face of the part: {cause}; export it from the model of the STEP file"
             )
         used = {unit: kinds for unit, kinds in self._linear_units_used.items() if kinds}
         if len(used) > 1:
@@ -175,11 +198,24 @@ class _Reader:
             )
         return content
 
-    def _units(self, tag: str) -> tuple[dict[str, float], str]:
-        """Return the factor of each unit to metres, and the name of the primary unit."""
+    def _size_ratio(self) -> float:
+        """Return the median ratio of stated diameters to those in the file's model; 0 without diameters."""
+        ratios = [0.0]
+        for nominal in self._root.iter("DiameterCharacteristicNominal"):
+            place = nominal
+            for step in ("FeatureNominalIds/Id", "EntityInternalIds/Id", "Surface/Id"):
+                place = self._by_id.get(place.findtext(step), nominal)
+            target, drawn = nominal.find("TargetValue"), place.findtext(".//Diameter")
+            if target is not None and drawn:
+                unit = self._linear.get(target.get("linearUnit") or self._primary, 0.0)
+                ratios.append(_number(target.text, "value") * unit / (_number(drawn, "diameter") * self._metres))
+        return float(np.median(ratios[1:] or ratios))
+
+    def _units(self, tag: str, known: Mapping[str, float]) -> tuple[dict[str, float], str]:
+        """Return the factor of each unit to the SI unit, and the name of the primary unit."""
         factors: dict[str, float] = {}
         for unit in self._root.iterfind(f"FileUnits//{tag}"):
-            factors[unit.findtext("UnitName") or ""] = self._factor(unit, LENGTHS if tag == "LinearUnit" else ANGLES)
+            factors[unit.findtext("UnitName") or ""] = self._factor(unit, known)
         primary = self._root.findtext(f"FileUnits/PrimaryUnits/{tag}/UnitName") or ""
         return factors, primary
 
@@ -242,6 +278,9 @@ class _Reader:
         """Return the table of a feature; it is added at the first call."""
         numbers = self._table_faces(nominal)
         kind = _FEATURES[nominal.tag.removesuffix("FeatureNominal")]
+        kinds = [each for _, each in self._faces.groups(numbers)]
+        if kind != "surface" and kinds != (["plane", "plane"] if kind == "width" else [kind]):
+            raise _UnsupportedError(f"its feature is a {kind} with faces on {len(kinds)} surfaces: {', '.join(kinds)}")
         return self._table(numbers, kind, f"{kind} {nominal.get('id')}")
 
     def _table(self, numbers: tuple[int, ...], kind: str, name: str) -> dict[str, object]:
@@ -263,7 +302,11 @@ class _Reader:
             return
         for number, feature in enumerate(features, 1):
             own = f"{name} [{number}/{len(features)}]" if len(features) > 1 else name
-            self._append(self._feature(feature), content | {"name": own})
+            table = self._feature(feature)
+            if table["kind"] not in _MEASURED.get(kind, (table["kind"],)):
+                raise _UnsupportedError(f"a {kind.lower()} of a {table['kind']} is not supported")
+            is_cone = kind == "Angle" and table["kind"] == "cone"
+            self._append(table, content | {"name": own} | ({"kind": "size"} if is_cone else {}))
 
     def _two_features(self, nominals: Sequence[ElementTree.Element]) -> list[dict[str, object]]:
         """Return two features; coplanar faces of several nominals are one."""
@@ -277,7 +320,11 @@ class _Reader:
         kind = nominal.tag.removesuffix("FeatureNominal")
         if kind not in _FEATURES:
             raise _UnsupportedError(f"its feature is a {kind}, which is not supported")
-        return self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
+        numbers = self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
+        # A blind hole has its bottom, too.
+        groups = self._faces.groups(numbers)
+        own = tuple(sorted(n for group, each in groups if each == _FEATURES[kind] for n in group))
+        return own or numbers
 
     def _append(self, table: dict[str, object], content: dict[str, object]) -> None:
         try:
@@ -359,6 +406,24 @@ class _FaceFinder:
                 self._matches[each] = self._matching(each)
         return tuple(sorted({number for each in ids for number in self._matches[each]}))
 
+    def scale(self) -> float:
+        """Return the size of the file's model, by its solids if it has any, in sizes of the part; 1 if unknown."""
+        solids = [body for body in self._by_id.values() if body.tag == "Body" and body.get("form") == "SOLID"]
+        numbers = {each.text for body in solids for each in body.iterfind("FaceIds/Id")}
+        corners = np.concatenate([
+            np.zeros((0, 3)),
+            *(self._corners(face) for number, face in self._by_id.items()
+              if face.tag == "Face" and (number in numbers or not solids)),
+        ])  # fmt: skip
+        if not len(corners):
+            return 1.0
+        scales = np.ptp(corners, axis=0) / np.ptp(self._mesh.vertices, axis=0).clip(1e-12)
+        return float(scales.mean()) if np.ptp(scales) < _SCALE * scales.max() else 1.0
+
+    def rescale(self, factor: float) -> None:
+        """Multiply the lengths of the file's model."""
+        self._metres *= factor
+
     def groups(self, numbers: Sequence[int]) -> list[tuple[tuple[int, ...], str]]:
         """Return faces on the same surface together, with the kind of the surface."""
         faces = {face.number: face for face in self._cad.faces}
@@ -369,34 +434,51 @@ class _FaceFinder:
                 groups.append([number])
             else:
                 same.append(number)
-        return [(tuple(group), faces[group[0]].kind.value) for group in groups]
+        kinds = [faces[group[0]].kind.value for group in groups]
+        shapes = _FEATURES.values()
+        return [
+            (tuple(group), kind if kind in shapes else "surface") for group, kind in zip(groups, kinds, strict=True)
+        ]
 
     def _matching(self, face_id: str) -> list[int]:
-        """Return the numbers of the CAD faces that contain all corners of a face: the halves of a bore share theirs."""
+        """Return the numbers of the CAD faces that contain all corners of a face: the halves of a bore share theirs.
+
+        Without one, those on one surface that contain all corners together: programs cut a bore at other places.
+        """
         face = self._by_id.get(face_id)
         if face is None or face.tag != "Face":
             raise _UnsupportedError(f"its feature is {'missing' if face is None else f'an {face.tag}'}, not a face")
         surface = self._by_id.get(face.findtext("Surface/Id"))
         kind = _SURFACES.get("" if surface is None else surface.tag, SurfaceKind.OTHER)
         corners = self._corners(face)
-        numbers = [
-            candidate.number
+        near = {
+            index: self._near(index, corners)
             for index, candidate in enumerate(self._cad.faces)
-            if candidate.kind == kind and len(corners) and self._contains(index, corners)
-        ]
+            if candidate.kind == kind and len(corners)
+        }
+        numbers = [self._cad.faces[index].number for index, each in near.items() if each.all()]
+        if not numbers:
+            touched = {self._cad.faces[index].number: each for index, each in near.items() if each.any()}
+            whole = [
+                group
+                for group, _ in self.groups([*touched])
+                if np.any([touched[number] for number in group], axis=0).all()
+            ]
+            numbers = list(whole[0]) if len(whole) == 1 else []
         if not numbers:
             self.has_unknown = True
             raise _UnsupportedError(f"face {face_id} of the file is no face of the part")
         return numbers
 
-    def _contains(self, index: int, points: Floats) -> bool:
-        """Return whether all points (N, 3) lie on a CAD face."""
+    def _near(self, index: int, points: Floats) -> Bools:
+        """Return which points (N, 3) lie on a CAD face."""
         faces, low, high = self._surface(index)
-        if (points < low - _NEAR).any() or (points > high + _NEAR).any():
-            return False
-        if index not in self._queries:
-            self._queries[index] = ClosestPointQuery(TriangleMesh(self._mesh.vertices, faces))
-        return bool((self._queries[index].closest(points).distance < _NEAR).all())
+        near: Bools = np.all((points >= low - _NEAR) & (points <= high + _NEAR), axis=1)
+        if near.any():
+            if index not in self._queries:
+                self._queries[index] = ClosestPointQuery(TriangleMesh(self._mesh.vertices, faces))
+            near[near] = self._queries[index].closest(points[near]).distance < _NEAR
+        return near
 
     def _surface(self, index: int) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return the triangles (F, 3) of a CAD face, and the lowest and the highest corner (3,) of their box [m]."""

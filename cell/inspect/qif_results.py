@@ -112,7 +112,7 @@ def _length_unit(root: ElementTree.Element) -> tuple[float, dict[str, str]]:
     units = root.iterfind(f"{_tag('FileUnits')}//{_tag('LinearUnit')}")
     if any(unit.findtext(_tag("UnitName")) == "mm" for unit in units):
         return 1.0, {"linearUnit": "mm"}
-    return _factor(1e-3, root, ("LinearUnit",), LENGTHS), {}
+    return _factor(1e-3, root, ("PMILinearUnit", "LinearUnit"), LENGTHS), {}
 
 
 def _factor(size: float, root: ElementTree.Element, tags: Sequence[str], known: Mapping[str, float]) -> float:

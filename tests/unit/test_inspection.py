@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from cell.inspect.qif_results import qif_results
 from cell.inspect.results import as_csv
 from cell.metrology.inspect import located, points_of_setups
 from cell.metrology.options import InspectOptions
+from cell.part.cad import CadModel, SurfaceKind
 from cell.part.workpiece import Workpiece, from_trusted_mesh, load
 from cell.plan.uncertainty import _causes, _feature_sets, _raise_demand
 from cell.scanners.laser_area import LaserArea
@@ -208,6 +210,88 @@ class TestQif:
         found = next(each for each in plan.characteristics if each.name == "AngleBetween 53")
         assert (found.nominal, found.lower, found.upper) == pytest.approx((90, 89.5, 90.5), abs=1e-6)
 
+    def test_units_of_characteristics_override_those_of_points(self, block: Workpiece, tmp_path: Path) -> None:
+        """Points in mm and sizes in inch, by QIF 3 (PrimaryUnits); a unit that a value names counts for it."""
+        conversion = "<UnitConversion><Factor>0.0254</Factor></UnitConversion>"
+        sizes = f"<PMILinearUnit><SIUnitName>meter</SIUnitName><UnitName>inch</UnitName>{conversion}</PMILinearUnit>"
+        text = bored_block_qif().replace("</LinearUnit></PrimaryUnits>", f"</LinearUnit>{sizes}</PrimaryUnits>")
+        text = text.replace("<MinValue>15.9", '<MinValue linearUnit="inch">15.9').replace(
+            "<UnitName>mm<", "<UnitName>mm_<"
+        )
+        plan, unsupported = self.read(block, tmp_path, text)
+        assert unsupported == []
+        limits = {each.name: (each.lower, each.upper) for each in plan.characteristics}
+        assert limits["Diameter 42"] == pytest.approx((15.9 * 25.4, 16.2 * 25.4))
+        assert limits["Position 43"][1] == pytest.approx(0.4 * 25.4)
+        assert limits["Flatness 41"][1] == pytest.approx(0.3)
+        done = inspected(block, points_on(block, 5000, 1e-5), only(plan, "Diameter 42")).result
+        root = ElementTree.fromstring(qif_results(text.encode(), done))
+        value = next(each for each in root.iter() if each.tag.endswith("}Value"))
+        assert (value.get("linearUnit"), float(value.text or 0)) == (None, pytest.approx(16 / 25.4, abs=1e-3))
+
+    def test_the_diameter_of_a_sphere_is_a_size(self, block: Workpiece, tmp_path: Path) -> None:
+        """It is that of the bore here, which a file may name so."""
+        text = bored_block_qif().replace("DiameterCharacteristic", "SphericalDiameterCharacteristic")
+        plan, unsupported = self.read(block, tmp_path, text)
+        assert unsupported == []
+        assert next(each.kind for each in plan.characteristics if each.name == "Diameter 42") == "size"
+
+    def test_a_model_of_another_size_than_its_sizes(self, block: Workpiece, tmp_path: Path) -> None:
+        """A model of twice the part's size is scaled if the diameters of the file are those of the part."""
+        words = re.split(r"(?<=<XYZ>)([\d ]+)(?=<)", bored_block_qif())
+        words[1::2] = [" ".join(str(2 * int(each)) for each in place.split()) for place in words[1::2]]
+        text = "".join(words)
+        drawn = '<Cylinder23 id="301"><Cylinder23Core><Diameter>32</Diameter></Cylinder23Core></Cylinder23>'
+        plan, unsupported = self.read(block, tmp_path, text.replace('<Cylinder23 id="301"/>', drawn))
+        assert (unsupported, len(plan.features)) == ([], 2)
+        assert "2 times as large as the part" in read_qif(tmp_path / "block.qif", block).notes[0]
+        drawn = drawn.replace("32", "16")
+        plan, unsupported = self.read(block, tmp_path, text.replace('<Cylinder23 id="301"/>', drawn))
+        assert (len(unsupported), plan.features) == (4, ())
+        assert "its model is 2 times as large" in read_qif(tmp_path / "block.qif", block).notes[0]
+
+    def test_a_bore_can_be_cut_elsewhere(self, block: Workpiece, tmp_path: Path) -> None:
+        """A face of the file whose corners lie on both halves of the bore is both halves."""
+        assert block.cad is not None
+        bore = block.cad.faces[6]
+        assert bore.kind is SurfaceKind.CYLINDER
+        behind = (block.cad.of_triangle == 6) & (block.reference.centres[:, 1] > 0.020)
+        of_triangle = np.where(behind, 7, block.cad.of_triangle).astype(np.int32)
+        part = replace(block, cad=CadModel((*block.cad.faces, replace(bore, number=8)), of_triangle))
+        for corners, faces in (((28, 12), (7, 8)), ((12, 12), (7,)), ((28, 28), (8,))):
+            text = bored_block_qif().replace(">38 20 0<", f">30 {corners[0]} 0<")
+            plan, unsupported = self.read(part, tmp_path, text.replace(">38 20 30<", f">30 {corners[1]} 30<"))
+            assert unsupported == []
+            assert plan.feature("cylinder 1300").faces == faces
+
+    def test_features_have_the_faces_of_their_kind(self, block: Workpiece, tmp_path: Path) -> None:
+        """A hole can have its bottom; two planes are no plane. A width of a cylinder is named."""
+        text = bored_block_qif(extra=characteristic("Width", 57, 32, 1300, "<TargetValue>16</TargetValue>"))
+        text = text.replace("<Id>300</Id></EntityInternalIds>", "<Id>300</Id><Id>100</Id></EntityInternalIds>")
+        text = text.replace("<Id>100</Id></EntityInternalIds></P", "<Id>100</Id><Id>200</Id></EntityInternalIds></P")
+        plan, unsupported = self.read(block, tmp_path, text)
+        assert plan.feature("cylinder 1300").faces == (7,)
+        assert [each.name for each in plan.characteristics] == ["Diameter 42"]
+        assert "Flatness 41 (Flatness): its feature is a plane with faces on 2 surfaces: plane, plane" in unsupported
+        assert "Width 57 (Width): a width of a cylinder is not supported" in unsupported
+
+    def test_the_angle_of_a_cone_is_its_size(self, block: Workpiece, tmp_path: Path) -> None:
+        """Its diameter has no place, and is named."""
+        assert block.cad is not None
+        cone = replace(block.cad.faces[6], kind=SurfaceKind.CONE, radius=None, half_angle=np.radians(59))
+        part = replace(block, cad=CadModel((*block.cad.faces[:6], cone), block.cad.of_triangle))
+        limits = "<Tolerance><MaxValue>1</MaxValue><MinValue>-1</MinValue></Tolerance>"
+        text = bored_block_qif(extra=(
+            characteristic("Angle", 58, 38, 1300, "<TargetValue>118</TargetValue>")
+            + f'---<AngleCharacteristicDefinition id="38">{limits}</AngleCharacteristicDefinition>'
+        )).replace("Cylinder23", "Cone23").replace("CylinderFeature", "ConeFeature")  # fmt: skip
+        (tmp_path / "cone.qif").write_text(text)
+        content = read_qif(tmp_path / "cone.qif", part)
+        angle = next(each for each in resolve_features(part, content.features)[1] if each.name == "Angle 58")
+        assert (angle.kind, angle.unit) == ("size", "deg")
+        assert (angle.nominal, angle.lower, angle.upper) == pytest.approx((118, 117, 119))
+        assert "Diameter 42 (Diameter): a diameter of a cone is not supported" in content.unsupported
+
     def test_a_known_unit_needs_no_conversion(self, block: Workpiece, tmp_path: Path) -> None:
         text = bored_block_qif()
         plan, unsupported = self.read(
@@ -260,8 +344,10 @@ class TestQif:
         """Read in inches the corners are 25.4 times as far away, and no face of the part is there."""
         plan, unsupported = self.read(block, tmp_path, bored_block_qif("in"))
         assert plan.characteristics == ()
-        assert "the file of another part" in read_qif(tmp_path / "block.qif", block).notes[0]
+        assert "its model is 25.4 times as large" in read_qif(tmp_path / "block.qif", block).notes[0]
         assert sum("no face of the part" in each for each in unsupported) >= 3
+        (tmp_path / "block.qif").write_text(bored_block_qif().replace(" 40 ", " 50 ").replace(" 20 ", " 30 "))
+        assert "the file of another part" in read_qif(tmp_path / "block.qif", block).notes[0]
 
     @pytest.mark.parametrize("text", ["<a/>", "no xml", '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'])
     def test_other_files_are_refused(self, block: Workpiece, tmp_path: Path, text: str) -> None:
