@@ -6,6 +6,7 @@ process use a separate process (`start_cell`).
 """
 
 import contextlib
+import functools
 import gc
 import hashlib
 import io
@@ -20,7 +21,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -58,6 +58,34 @@ gc.disable()
 
 # MuJoCo reads it once, when it is imported: rendering without a display.
 os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return one worker more than cores: the worker of tests in real time hardly uses a core."""
+    return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else threads.CORES + 1
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put tests in real time first: the first worker gets them, and other workers take its last tests."""
+    items.sort(key=lambda item: not _is_in_real_time(item))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Lower the priority of a worker at its first test that computes, in favour of tests in real time."""
+    if "PYTEST_XDIST_WORKER" in os.environ and not _is_in_real_time(item):
+        _lower_priority()
+
+
+def _is_in_real_time(item: pytest.Item) -> bool:
+    """State whether a test waits for a wire, a process or a browser."""
+    is_waiting = {"start_cell", "browser", "chromium"}.intersection(getattr(item, "fixturenames", ()))
+    return bool(is_waiting) or item.get_closest_marker("real_time") is not None
+
+
+@functools.cache
+def _lower_priority() -> None:
+    if hasattr(os, "nice"):
+        os.nice(10)
 
 
 def pytest_collection_finish() -> None:
@@ -468,7 +496,7 @@ class Emulated:
     log: Path
     state: Path
 
-    @cached_property
+    @functools.cached_property
     def url(self) -> str:
         """Return the URL of the controller; wait until it is ready."""
         stdout = self.process.stdout

@@ -19,6 +19,8 @@ from drivers.setpoints import PER_DEGREE, SetPoints, from_rad
 from tests.support.arms import KR16
 from tests.support.fixture_types import Emulate
 
+pytestmark = pytest.mark.real_time
+
 URLS = os.environ.get("CELL_DRIVER_URLS", "sim:// sim://?realtime&time_scale=10000 serial modbus modbus-rtu").split()
 SPEED = 0.1
 

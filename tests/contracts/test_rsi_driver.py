@@ -28,6 +28,8 @@ from drivers.wires.rsi_link import RsiDriver
 from drivers.wires.rsi_stream import RAMP, Stream
 from tests.support.driver_bench import HOME_Q, KR16
 
+pytestmark = pytest.mark.real_time
+
 HOME = from_rad(HOME_Q)
 NEAR = (np.stack([HOME, HOME]) + PER_DEGREE * np.array([[2, 0, 0, 0, 0, 3], [4, 1, -1, 2, 0, 3]])).astype(np.int32)
 FAR = (HOME + PER_DEGREE * np.array([40, 0, 0, 0, 0, 0]))[None].astype(np.int32)

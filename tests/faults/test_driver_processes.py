@@ -22,6 +22,8 @@ from drivers.wires.serial_link import SerialPort
 from tests.support.driver_bench import KR16, WIRES, turned
 from tests.support.fixture_types import Emulate
 
+pytestmark = pytest.mark.real_time
+
 ARM = Context(KR16)
 LONG_TIMEOUTS = "watchdog_ms=1800&timeout_ms=600"  # a slow machine is no fault
 

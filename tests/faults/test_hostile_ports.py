@@ -16,6 +16,8 @@ from drivers.errors import DriverError
 from drivers.registry import Context, open_driver
 from tests.support.driver_bench import KR16
 
+pytestmark = pytest.mark.real_time
+
 _SHORT = "timeout_ms=100&watchdog_ms=300"
 _MAX_S = 10.0
 """Longest allowed time; tries of 0.3 s, and a loaded machine."""

@@ -21,6 +21,8 @@ from cell.study.prepared_part import scene_settings
 from cell.study.trials import OnOutcome, Outcome, Processes, Trial, compute, open_workers, run_trials
 from tests.support.fixture_types import StartCommand
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture(scope="module")
 def trials(part_file: Path) -> list[Trial]:

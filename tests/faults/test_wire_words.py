@@ -18,6 +18,8 @@ from drivers.simulated_controller import IdealPlant
 from drivers.wire import port_path
 from tests.support.driver_bench import HOME_Q, KR16, Journal, make_bench
 
+pytestmark = pytest.mark.real_time
+
 LIBRARY = re.compile(r"retries|Modbus Error|Errno|Exception|Traceback|device_id|<.*object")
 PATIENCE = "timeout_ms=600&watchdog_ms=3000"
 
