@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import trimesh
 from cell import api
 from cell.errors import UsageError
 from cell.part.ply_elements import read_elements
+from cell.scan.results import ScanOutcome
 from tests.support.fixture_types import RunCommand
 
 SIDES = np.array([90.0, 70.0, 40.0])
@@ -29,14 +32,21 @@ def box(folder: Path, name: str, top: float = 0.0) -> Path:
 def box_plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the run folder of a plan of the nominal box."""
     folder = tmp_path_factory.mktemp("box")
-    run = api.plan(box(folder, "box.stl"), units="mm", place=(1150, 400, 60), faces=200, effort=0, out=folder / "run")
+    options = {"place": (1150, 400, 60), "faces": 60, "candidates": "optimal-scanning-zone", "out": folder / "run"}
+    run = api.plan(box(folder, "box.stl"), units="mm", **options)
     assert run.exit_code == 0
     return run.folder
 
 
-def test_a_raised_face_deviates_by_its_height(box_plan: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def nominal(box_plan: Path, drawing: Callable[[], AbstractContextManager[None]]) -> ScanOutcome:
+    """Return a scan of the nominal box, with its pictures."""
+    with drawing():
+        return api.scan(box_plan, resolution=0.8)
+
+
+def test_a_raised_face_deviates_by_its_height(nominal: ScanOutcome, box_plan: Path, tmp_path: Path) -> None:
     """The upper face is 0.2 mm high in mesh.ply, the sides are exact; coverage and reference are the nominal part's."""
-    nominal = api.scan(box_plan, resolution=0.8)
     actual = api.scan(box_plan, resolution=0.8, actual=box(tmp_path, "high.stl", RAISED), actual_units="mm")
     found = read_elements((actual.folder / "mesh.ply").read_bytes())["vertex"]
     points, deviation = found.columns("x", "y", "z"), found.scalars["scalar_deviation_mm"]
@@ -53,18 +63,16 @@ def test_a_raised_face_deviates_by_its_height(box_plan: Path, tmp_path: Path) ->
     assert "as-built mesh" in (actual.folder / "report.md").read_text()
 
 
-@pytest.mark.usefixtures("drawn_pictures")
-def test_numbers_with_and_without_edges_are_everywhere(box_plan: Path) -> None:
+def test_numbers_with_and_without_edges_are_everywhere(nominal: ScanOutcome) -> None:
     """report.json, report.md, the page and the terminal state both."""
     from cell.report import scan_report
 
-    execution = api.scan(box_plan, resolution=0.8)
-    note = execution.report.deviation.edge_note
+    note = nominal.report.deviation.edge_note
     assert "about sharp edges" in note
-    assert execution.report.deviation.with_edges.max_mm >= execution.report.deviation.max_mm
-    assert note in dict(scan_report.table(execution.report))["surface"]
-    assert note in (execution.folder / "report.md").read_text()
-    assert note in (execution.folder / "view.html").read_text()
+    assert nominal.report.deviation.with_edges.max_mm >= nominal.report.deviation.max_mm
+    assert note in dict(scan_report.table(nominal.report))["surface"]
+    assert note in (nominal.folder / "report.md").read_text()
+    assert note in (nominal.folder / "view.html").read_text()
 
 
 def test_a_resumed_execution_needs_the_same_file(box_plan: Path, tmp_path: Path, run_cell: RunCommand) -> None:

@@ -1,5 +1,7 @@
 """Covers and bounds of medium problems against plain models of the whole matrix in scipy."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -69,13 +71,19 @@ def test_second_rows_of_the_bound_strengthen_it() -> None:
     assert bound.bound == 20
 
 
+@cache
+def fewest_of(seed: int) -> int:
+    """Return the fewest views of a medium problem by an integer programme."""
+    M, _ = medium(seed, 80, 60, 0.1)
+    ones = np.ones(60)
+    return round(milp(ones, integrality=ones, constraints=LinearConstraint(M.astype(float), lb=1)).fun)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_fewest_views_are_those_of_an_integer_programme(solver: str) -> None:
     """`exact` and `auto` find and prove its optimum; bound <= optimum <= views for all solvers."""
     for seed in range(2):
-        M, areas = medium(seed, 80, 60, 0.1)
-        ones = np.ones(60)
-        fewest = round(milp(ones, integrality=ones, constraints=LinearConstraint(M.astype(float), lb=1)).fun)
+        fewest, (M, areas) = fewest_of(seed), medium(seed, 80, 60, 0.1)
         effort = 10**9 if solver in ("auto", "exact") else 10**7
         cover = solve(CoverProblem(M, areas), rng=np.random.default_rng(2), solver=solver, effort_budget=effort)
         assert cover.lower_bound <= fewest <= len(cover.views)

@@ -143,7 +143,13 @@ def without(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     return make_edit(open_run(planned), drop=[2], out=tmp_path_factory.mktemp("edit") / "without")
 
 
-def test_a_dropped_view_can_be_put_back(planned: Path, without: Run, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def repaired(without: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return the plan without its second view after a later repair."""
+    return make_edit(without, repair=True, out=tmp_path_factory.mktemp("edit") / "repaired")
+
+
+def test_a_dropped_view_can_be_put_back(planned: Path, without: Run, repaired: Run, tmp_path: Path) -> None:
     """Candidates keep their numbers through repeated edits. A later repair does not bring the dropped view back."""
     run = open_run(planned)
     assert without.coverage.visible < run.coverage.visible
@@ -152,7 +158,6 @@ def test_a_dropped_view_can_be_put_back(planned: Path, without: Run, tmp_path: P
     assert sorted(back.candidate) == sorted(run.candidate)
     # Another order has other configurations, whose rounded set-points move samples at the limits in or out.
     assert back.coverage.visible == pytest.approx(run.coverage.visible, abs=5e-4)
-    repaired = make_edit(without, repair=True, out=tmp_path / "repaired")
     assert run.candidate[1] not in repaired.candidate
     assert set(without.candidate) < set(repaired.candidate)
     assert without.coverage.planned_on_samples < repaired.coverage.planned_on_samples
@@ -174,7 +179,7 @@ def test_the_neighbourhood_of_a_view_is_bounded_by_distance_and_viewing_angle() 
     assert Neighbourhood(poses[:1], 0.0, 0.0).contains(poses).tolist() == [True, False, False, False, False]
 
 
-def test_a_repair_stays_away_from_the_dropped_view(planned: Path, without: Run, tmp_path: Path) -> None:
+def test_a_repair_stays_away_from_the_dropped_view(planned: Path, repaired: Run, tmp_path: Path) -> None:
     """No added view is within 50 mm and 20 deg of the dropped one, also if the repair is a later edit."""
     run = open_run(planned)
     dropped = run.candidates.T_object_scanner[run.candidate[1], 0]
@@ -187,12 +192,11 @@ def test_a_repair_stays_away_from_the_dropped_view(planned: Path, without: Run, 
         return list(zip(apart, angle, strict=True))
 
     at_once = make_edit(run, drop=[2], repair=True, out=tmp_path / "at_once")
-    later = make_edit(without, repair=True, out=tmp_path / "later")
-    for result in (at_once, later):
+    for result in (at_once, repaired):
         assert run.candidate[1] not in result.candidate
         assert nearest(result)
         assert all(apart > 50 or angle > 20 for apart, angle in nearest(result))
-    assert set(at_once.report.settings.banned or ()) == set(later.report.settings.banned or ())
+    assert set(at_once.report.settings.banned or ()) == set(repaired.report.settings.banned or ())
     alone = make_edit(run, drop=[2], dropped_range="0mm,0deg", repair=True, out=tmp_path / "alone")
     assert alone.report.settings.banned == (run.candidate[1],)
     assert len(alone.candidate) <= len(at_once.candidate)
