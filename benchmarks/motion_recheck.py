@@ -71,12 +71,12 @@ def run() -> list[dict[str, Any]]:
     return [summary, *found]
 
 
-def check_scene(number: int, *, table: str = "") -> dict[str, Any]:
+def check_scene(number: int, n_views: int = _VIEWS, *, table: str = "") -> dict[str, Any]:
     """Plan and check one scene, with a rotary table of the given kind or without one."""
     begin = perf_counter()
-    cell = usable(number, least=_VIEWS, table=table)
+    cell = usable(number, least=n_views, table=table)
     rng = np.random.default_rng(number)
-    views = rng.choice(cell.reachable, _VIEWS, replace=False)
+    views = rng.choice(cell.reachable, n_views, replace=False)
     poses = cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0]
     visits = Visits([cell.reach.configurations_of(int(view)) for view in views], cell.world.home, poses)
     tour = plan_tour(visits, cell.checker, cell.world.limits, rng)

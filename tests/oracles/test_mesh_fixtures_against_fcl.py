@@ -137,22 +137,23 @@ def _gaps(world: World, q: Floats) -> Floats:
     return found
 
 
-def test_no_contact_is_missed_and_nothing_is_refused_falsely(worlds: dict[str, World], path: Path) -> None:
-    """Thousands of configurations in and around the bracket, clear of everything else; its hull rejects many."""
+@pytest.mark.parametrize("count", [500, pytest.param(1500, marks=pytest.mark.slow)])
+def test_no_contact_is_missed_and_nothing_is_refused_falsely(count: int, worlds: dict[str, World], path: Path) -> None:
+    """Configurations in and around the bracket, clear of everything else; its hull rejects many."""
     world = worlds["exact"]
-    q = _solutions(world, _scanner_poses(1000, np.random.default_rng(0)))
-    q = q[MujocoCollisionChecker(_world(path, None, "exact")).free(q)][:1500]
+    q = _solutions(world, _scanner_poses(count * 2 // 3, np.random.default_rng(0)))
+    q = q[MujocoCollisionChecker(_world(path, None, "exact")).free(q)][:count]
+    assert len(q) == count
     low, high = _gaps(world, q).T
     free, blocked = low >= world.clearance + UNDECIDED, high < world.clearance - UNDECIDED
     assert (free | blocked).mean() > 0.98
-    assert free.sum() > 400
-    assert blocked.sum() > 400
+    assert min(free.sum(), blocked.sum()) > 4 / 15 * count
     is_free = MujocoCollisionChecker(world).free(q)
     assert (is_free & blocked).sum() == 0
     assert (~is_free & free).sum() == 0
     of_hull = MujocoCollisionChecker(worlds["hull"]).free(q)
     assert (of_hull & blocked).sum() == 0
-    assert (~of_hull & free).sum() > 200
+    assert (~of_hull & free).sum() > 2 / 15 * count
 
 
 def test_a_view_in_the_bracket_is_reached_on_a_free_path(worlds: dict[str, World]) -> None:
