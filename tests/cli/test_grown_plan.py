@@ -86,7 +86,7 @@ def test_views_that_moved_are_candidates_like_others(
     assert covered >= plan_file["coverage"]["target_on_samples"] * coverable * (1 - 1e-9)
     process = run_cell("edit", "run", "--turn", "1:30", "--out", "edited", cwd=tmp_path)
     assert process.returncode in (0, 3), process.stderr
-    process = run_cell("scan", "run", "--view", "1", cwd=tmp_path)
+    process = run_cell("scan", "run", "--view", "1", "--resolution", "1", cwd=tmp_path)
     assert process.returncode in (0, 3), process.stderr
 
 

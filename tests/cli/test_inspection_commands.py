@@ -42,7 +42,7 @@ def test_points_of_a_file_are_inspected(run_cell: RunCommand, tmp_path: Path) ->
     (tmp_path / "block.stp").write_text(bored_block())
     (tmp_path / "block.qif").write_text(bored_block_qif())
     part = load(tmp_path / "block.stp")
-    points = draw_samples(part.reference, part.reference, 20_000, np.random.default_rng(0)).points.copy()
+    points = draw_samples(part.reference, part.reference, 8_000, np.random.default_rng(0)).points.copy()
     radial = points[:, :2] - [0.03, 0.02]
     distance = np.linalg.norm(radial, axis=1)
     bore = distance < 0.0080001
@@ -147,8 +147,8 @@ def test_a_displaced_part_is_aligned(
         f'[part]\npath = "block.stp"\n[inspection]\nalignment = "{alignment}"\n{points_of_rps}{_FEATURES}'
     )
     part, rng = load(tmp_path / "block.stp"), np.random.default_rng(0)
-    samples = draw_samples(part.reference, part.reference, 30_000, rng)
-    points = 1000 * samples.points + 0.003 * rng.standard_normal((30_000, 1)) * samples.normals
+    samples = draw_samples(part.reference, part.reference, 10_000, rng)
+    points = 1000 * samples.points + 0.003 * rng.standard_normal((10_000, 1)) * samples.normals
     points[(points[:, 0] > 59.9) & (points[:, 1] > 28), 0] += 0.4
     points[np.linalg.norm(points[:, :2] - [30, 20], axis=1) < 8.02, 0] += 0.1
     axis = np.array([0.5, -0.3, 0.8]) / np.linalg.norm([0.5, -0.3, 0.8])

@@ -44,7 +44,7 @@ def test_equal_input_and_seed_give_equal_bytes(
     part_file: Path, tmp_path: Path, start_cell: StartCommand, run_cell: RunCommand, small_plan: tuple[str, ...]
 ) -> None:
     """A second run in another process and folder, with the matrix from the cache, has equal artefacts."""
-    command = ("plan", part_file, "--units", "mm", *small_plan, "--faces", "40", "--out")
+    command = ("plan", part_file, "--units", "mm", *small_plan, "--faces", "40", "--coverage", "0.9", "--out")
     (tmp_path / "elsewhere").mkdir()
     run_cell(*command, "run", cwd=tmp_path, code=0)
     process = start_cell(*command, "again", cwd=tmp_path / "elsewhere")

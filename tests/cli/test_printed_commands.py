@@ -43,7 +43,7 @@ class Follower:
     Args:
         run_cell: runs a command.
         cwd: folder of relative paths.
-        more: options that make a printed plan small, by command; nothing else of the printed line changes.
+        more: options that make a printed plan small. A printed scan gets a coarse resolution. Nothing else changes.
     """
 
     def __init__(self, run_cell: RunCommand, cwd: Path, more: Sequence[str] = ()) -> None:
@@ -66,7 +66,7 @@ class Follower:
         cwd = self._cwd
         before = {*cwd.rglob("plan.json"), *cwd.rglob("setups.json"), *cwd.rglob("cloud.ply"), *cwd.rglob("export/*")}
         shutil.rmtree(cwd / arguments[0] / "why", ignore_errors=True) if name == "why" else None
-        more = self._more if name == "plan" else ()
+        more = {"plan": self._more, "scan": ("--resolution", "1")}.get(name, ())
         process = self._run_cell(*words[1:], *more, cwd=cwd)
         allowed = FINISHED if name in ("plan", "edit", "setups", "scan") else (0,)
         if name == "replay" and process.returncode == 2:

@@ -24,7 +24,7 @@ units = "mm"
 sensor = "generic-area-medium"
 
 [plan]
-faces = 120
+faces = 60
 samples_per_face = 2
 candidates = "optimal-scanning-zone"
 coverage = 0.9

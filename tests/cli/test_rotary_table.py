@@ -33,6 +33,8 @@ from planner.path.certified_edge import quantise
 from planner.timing.move_time import move_time
 from tests.support.fixture_types import Emulate, RunCommand
 
+_SMALLER = ("--faces", "60", "--coverage", "0.9")
+
 
 def _json(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
@@ -389,7 +391,7 @@ def test_an_indexed_table_is_planned_verified_and_resumed(
     """Arm and table never move simultaneously, in the plan and on the approach path. Such a motion is refused."""
     (tmp_path / "indexed.toml").write_text('[table]\nmoves = "indexed"\n')
     scene = ("--scene", "indexed.toml")
-    run_cell("plan", part_file, "--units", "mm", *small_plan, *scene, "--out", "run", cwd=tmp_path, code=0)
+    run_cell("plan", part_file, "--units", "mm", *small_plan, *_SMALLER, *scene, "--out", "run", cwd=tmp_path, code=0)
     run = tmp_path / "run"
     via = open_run(run).motion.via_q
     moved = np.diff(via, axis=0) != 0
@@ -413,8 +415,9 @@ def test_a_tilted_axis_is_planned_scanned_and_placed_as_an_upright_one(
     """At each view the part is turned about the tilted axis. The dynamic arm is refused."""
     (tmp_path / "tilted.toml").write_text("[table]\nabc_deg = [0.0, -30.0, 20.0]\n", encoding="utf-8")
     run_cell(
-        "plan", part_file, "--units", "mm", *small_plan, "--scene", "tilted.toml", "--out", "run", cwd=tmp_path, code=0
-    )
+        "plan", part_file, "--units", "mm", *small_plan, *_SMALLER, "--scene", "tilted.toml", "--out", "run",
+        cwd=tmp_path, code=0,
+    )  # fmt: skip
     scene = _json(tmp_path / "run" / "scene.resolved.json")
     T_base_table, T_base_object = np.array(scene["table"]["T_base_table"]), np.array(scene["T_base_object"])
     np.testing.assert_allclose(np.degrees(np.arccos(T_base_table[2, 2])), 35.531, atol=1e-3)

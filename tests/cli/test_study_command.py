@@ -12,8 +12,7 @@ from cell.study.planned_placement import N_PLANNED
 from cell.study.trials import Outcome, Trial, Workers, compute
 from tests.support.fixture_types import RunCommand
 
-_COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
-_COARSEST = f'{_COARSE}candidates = "optimal-scanning-zone"\n'
+_COARSE = '[plan]\nfaces = 60\nsamples_per_face = 2\ncandidates = "optimal-scanning-zone"\n'
 
 
 class _Here(Workers):
@@ -82,7 +81,7 @@ def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
     part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """At 9 m nothing is reachable: the row has coverage 0, and the study does not fail."""
-    (tmp_path / "coarse.toml").write_text(_COARSEST)
+    (tmp_path / "coarse.toml").write_text(_COARSE)
     process = run_cell(
         "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",
         "--processes", "1", "--out", "map", "--json", cwd=tmp_path, code=0,
@@ -102,7 +101,7 @@ def test_the_recommended_placement_is_no_worse_than_that_of_the_scene(
     part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """The printed command gives the coverage, views and time of its row; the placement of the scene is planned too."""
-    (tmp_path / "coarse.toml").write_text(_COARSEST + "[placement]\nposition_mm = [1150, 420, 60]\n")
+    (tmp_path / "coarse.toml").write_text(_COARSE + "[placement]\nposition_mm = [1150, 420, 60]\n")
     options = ("--units", "mm", "--scene", "coarse.toml")
     process = run_cell(
         "study", "placement", part_file, *options, "--x", "1000,1300", "--y", "300,600", "--z", "0,100",

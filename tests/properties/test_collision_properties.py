@@ -136,7 +136,7 @@ def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> 
     checker = MujocoCollisionChecker(world)
     lower, upper = world.limits.lower, world.limits.upper
     ratios = []
-    for _ in range(40):
+    for _ in range(20):
         q_from = rng.uniform(lower, upper)
         goal = rng.uniform(lower, upper)
         only = rng.random(6) < rng.choice([0.2, 0.5, 1.0])  # single joints too, where the bound is tightest

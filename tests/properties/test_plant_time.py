@@ -45,6 +45,7 @@ def cuts(total: float, at: list[float]) -> list[float]:
 fractions = st.lists(st.floats(0.0, 1.0), max_size=12)
 
 
+@settings(max_examples=settings.default.max_examples // 2)
 @given(fractions, fractions, st.floats(0.05, 0.2))
 @example([], [], 0.1)
 @example([0.1] * 5, [k / 40 for k in range(40)], 0.123456789)

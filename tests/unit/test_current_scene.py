@@ -26,6 +26,7 @@ position_mm = [1100, 400, 100]
 faces = 60
 samples_per_face = 2
 candidates = "optimal-scanning-zone"
+coverage = 0.9
 standoffs_mm = [250]
 [[fixtures]]
 name = "box"

@@ -81,7 +81,7 @@ class TestLeastSquares:
         exact = fit(kind, points)
         normals = exact.shape.normals(points)
         found = []
-        for _ in range(400):
+        for _ in range(200):
             noisy = fit(kind, points + sigma * rng.standard_normal((len(points), 1)) * normals, exact.shape)
             shape = noisy.shape.at_foot(exact.shape.point)
             shift, turn = exact.frame.T @ (shape.point - exact.shape.point), exact.frame.T @ shape.axis
@@ -96,7 +96,7 @@ class TestLeastSquares:
         """The mean variance of fits to six noisy points is that of the noise in each direction."""
         sigma, rng = 2e-5, np.random.default_rng(1)
         exact = points_on(kind, 6, seed=3)
-        variances = [fit(kind, exact + sigma * rng.standard_normal(exact.shape)).sigma ** 2 for _ in range(400)]
+        variances = [fit(kind, exact + sigma * rng.standard_normal(exact.shape)).sigma ** 2 for _ in range(200)]
         assert np.mean(variances) == pytest.approx(sigma**2, rel=0.15)
 
     def test_five_points_of_a_circle_in_a_given_plane_tell_their_standard_deviation(self) -> None:

@@ -1032,7 +1032,7 @@ class TestPrediction:
     def test_predicted_uncertainty_is_that_of_repeated_scans(self, scans: int) -> None:
         """Quantiles of 60 scans with noise and pose errors are known to about 12 %, of 45 to about 14 %."""
         bench = block_bench()
-        coarse = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.5, 0.5))
+        coarse = LaserArea(fov_deg=(30.0, 30.0), resolution_deg=(0.7, 0.7))
         bench = replace(bench, scanner=coarse)
         values, stated = scan_values(bench, scans, n_stated=1)
         for k, each in enumerate(bench.predict()):
