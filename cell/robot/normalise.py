@@ -196,9 +196,8 @@ def _triangles(file: RobotFile, geom: int) -> tuple[Floats, NDArray[np.int32]]:
             start : start + number
         ].astype(np.int32)
     if kind not in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_ELLIPSOID):
-        raise SceneError(
-            f"{file.path} has a collision shape '{model.geom(geom).name}' of a kind that is not solid; use a mesh"
-        )
+        link = model.body(model.geom_bodyid[geom]).name
+        raise SceneError(f"{file.path}: the link '{link}' has a collision shape that is not solid; use a mesh")
     around, up = np.meshgrid(np.arange(_N_AROUND) * (2 * np.pi / _N_AROUND), np.linspace(-np.pi / 2, np.pi / 2, 13))
     points = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=-1).reshape(-1, 3)
     points = np.unique(points.round(12), axis=0)

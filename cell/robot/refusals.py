@@ -31,8 +31,13 @@ def _causes() -> list[tuple[str, str]]:
 def _cause(sentence: str) -> str:
     for pattern, ours in _causes():
         if match := re.search(pattern, sentence):
-            return ours.format(*(group.strip()[:60] for group in match.groups()))
+            return ours.format(*(_shorten(group.strip()) for group in match.groups()))
     return f"MuJoCo's compiler reports '{sentence[:120]}'; correct or remove this element"
+
+
+def _shorten(words: str) -> str:
+    """Return the last 60 characters: a path ends with the name of its file."""
+    return words if len(words) <= 60 else f"...{words[-57:]}"
 
 
 def _place(sentence: str, element: str) -> str:

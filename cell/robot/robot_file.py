@@ -7,9 +7,9 @@ and mimic joints, which MuJoCo ignores, are read from the URDF itself. The arm's
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 MAX_FILE = 10_000_000
 """Largest size of a robot's description [bytes]."""
 
-_FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: in ROS-Industrial its z leaves the face
+# tool0 first: in ROS-Industrial its z leaves the face. attachment_site: of the MuJoCo Menagerie.
+_FLANGES = ("tool0", "flange", "ee_link", "tool_flange", "attachment_site")
 _VECTORS = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "box": ("size",), "mesh": ("scale",)}
 _MAX_LINK = 50.0  # m; a larger distance between joints is in millimetres
 _MAX_SHAPE = 10.0  # radius of a shape in lengths of the arm
@@ -121,8 +122,10 @@ def read_robot(
     """
     import mujoco
 
-    root = _parse(path)
-    _require_numbers(root, path)
+    trees = _parse_all(path)
+    for file, tree in trees.items():
+        _require_numbers(tree, file)
+    root = trees[path]
     extras, assets = UrdfExtras(), dict[str, bytes]()
     if root.tag == "robot":
         extras = _prepare_urdf(root, path, packages or {}, assets)
@@ -138,11 +141,30 @@ def read_robot(
             else:
                 spec = mujoco.MjSpec.from_file(str(path))
                 _require_only_kinematics(spec.compiler)
+                for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
+                    for number, element in enumerate(elements):
+                        element.name = element.name or f"{kind} {number}"
                 model = spec.compile()
+                extras.mimics.update(_equalities(model))
     except ValueError as error:
         cause = describe_refusal(error, has_lines=root.tag == "mujoco")  # a URDF was written anew without comments
         raise FileError(f"{path} cannot be read as an arm: {cause}") from error
     return _select_arm(path, model, base, flange, extras, messages)
+
+
+def _parse_all(path: Path) -> dict[Path, ElementTree.Element]:
+    """Return the roots of a description and of the files that an MJCF includes, by their paths."""
+    trees = {path: _parse(path)}
+    known, queue = {path.resolve()}, [path]
+    for file in queue:
+        for element in trees[file].iter("include"):
+            included = [(folder / element.get("file", "")).resolve() for folder in (path.parent, file.parent)]
+            found = next((each for each in included if each.is_file()), None)  # MuJoCo reports a missing one
+            if found is not None and found not in known:
+                trees[found] = _parse(found)
+                known.add(found)
+                queue.append(found)
+    return trees
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -158,13 +180,11 @@ def _parse(path: Path) -> ElementTree.Element:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise FileError(f"{path} is not XML: {error}; give a URDF or an MJCF") from error
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else element.tag
-        for key, value in element.attrib.items():
-            if "${" in value or "$(" in value:
-                raise FileError(
-                    f"{path} has the xacro expression '{value[:60]}' ({key} of <{element.tag}>); expand it first: "
-                    f"xacro {path.name} > robot.urdf"
-                )
+        namespace, _, element.tag = element.tag.rpartition("}")
+        left = [f"expression '{v[:60]}' ({k} of <{element.tag}>)" for k, v in element.items() if "${" in v or "$(" in v]
+        left += [f"element <{element.tag}>"] if "xacro" in namespace else []
+        if left:
+            raise FileError(f"{path} has the xacro {left[0]}; expand it first: xacro {path.name} > robot.urdf")
     return root
 
 
@@ -204,7 +224,7 @@ def _require_only_kinematics(compiler: Any) -> None:
     compiler.balanceinertia = True
 
 
-@contextmanager
+@contextlib.contextmanager
 def capture_mujoco_warnings() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which otherwise go to stderr and to MUJOCO_LOG.TXT in the working directory."""
     import mujoco
@@ -228,19 +248,20 @@ def _select_arm(
     import mujoco
 
     bodies = [model.body(i).name for i in range(model.nbody)]
-    sites = [model.site(i).name for i in range(model.nsite)]
-    root = base or next((name for i, name in enumerate(bodies) if i and model.body_parentid[i] == 0), "world")
-    if root not in bodies:
-        raise SceneError(f"{path} has no link '{root}' for the base; it has {_name_list(bodies[1:])}")
+    sites = [name for i in range(model.nsite) if (name := model.site(i).name)]
     end = flange or next((name for name in _FLANGES if name in bodies or name in sites), None)
     if end is None:
         raise SceneError(
             f"{path} has no link named flange or tool0; name the flange's link (robot.flange_link): "
-            f"{_name_list(bodies[1:])}"
+            f"{_name_list(bodies[1:] + sites)}"
         )
     if end not in bodies and end not in sites:
-        raise SceneError(f"{path} has no link '{end}' for the flange; it has {_name_list(bodies[1:])}")
+        raise SceneError(f"{path} has no link '{end}' for the flange; it has {_name_list(bodies[1:] + sites)}")
     body = bodies.index(end) if end in bodies else int(model.site(end).bodyid[0])
+    top = int(model.body_rootid[body])
+    root = base or bodies[0 if model.body_jntnum[top] else top]
+    if root not in bodies:
+        raise SceneError(f"{path} has no link '{root}' for the base; it has {_name_list(bodies[1:])}")
     chain: list[int] = []
     while body > 0 and body != bodies.index(root):
         at = int(model.body_jntadr[body])
@@ -249,10 +270,11 @@ def _select_arm(
     if body == 0 and root != "world":
         raise SceneError(f"{path}: the flange '{end}' is not connected to the base '{root}'")
     names = [model.joint(joint).name for joint in chain]
-    if len(chain) != 6 or any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in chain):
+    slides = [model.joint(each).name for each in chain if model.jnt_type[each] != mujoco.mjtJoint.mjJNT_HINGE]
+    if len(chain) != 6 or slides:
         raise SceneError(
             f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_name_list(names)}); an arm must have six "
-            "revolute joints"
+            f"revolute joints{f'; make {_name_list(slides)} fixed' if slides else ''}"
         )
     file_warnings = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in messages]
     endless = [joint for joint in chain if not model.jnt_limited[joint]]
@@ -270,11 +292,9 @@ def _select_arm(
                 f"{path}: the joint '{name}' is one of the six and mimics '{extras.mimics[name][0]}'; an arm needs six "
                 "independent joints"
             )
-    anchors = model.body_pos[model.jnt_bodyid[chain]]
-    if np.abs(anchors).max() > _MAX_LINK:
+    if (away := np.abs(np.concatenate([model.body_pos, model.site_pos])).max()) > _MAX_LINK:  # fixed joints, too
         raise SceneError(
-            f"{path}: joints are {np.abs(anchors).max():.3g} m apart; a URDF is in metres, this one seems to be in "
-            "millimetres"
+            f"{path}: joints are {away:.3g} m apart; a URDF is in metres, this one seems to be in millimetres"
         )
     velocity = np.array([extras.velocity.get(name, np.inf) for name in names])
     _require_plausible(path, model, chain, velocity)
@@ -318,7 +338,7 @@ def _mimic_joints(path: Path, model: mujoco.MjModel, names: list[str], extras: U
         source, ratio, offset = extras.mimics.get(name, ("", 0.0, 0.0))
         if source not in names:
             raise SceneError(
-                f"{path}: the joint '{name}' is none of the six and mimics none of them; fix it or let it mimic one"
+                f"{path}: the joint '{name}' is none of the six and mimics none; make it fixed or let it mimic one"
             )
         if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
             raise SceneError(
@@ -326,6 +346,20 @@ def _mimic_joints(path: Path, model: mujoco.MjModel, names: list[str], extras: U
             )
         mimic_joints.append(MimicJoint(name, names.index(source), ratio, offset))
     return tuple(mimic_joints)
+
+
+def _equalities(model: mujoco.MjModel) -> dict[str, tuple[str, float, float]]:
+    """Return driving joint, ratio, and offset [rad] of joints that an MJCF couples linearly to another joint."""
+    import mujoco
+
+    coupled = {}
+    for i in range(model.neq):
+        one, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        offset, ratio, *curved = model.eq_data[i][:5].tolist()
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and other >= 0 and not any(curved):
+            offset += model.qpos0[model.jnt_qposadr[one]] - ratio * model.qpos0[model.jnt_qposadr[other]]
+            coupled[model.joint(one).name] = model.joint(other).name, ratio, offset
+    return coupled
 
 
 def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:
@@ -352,6 +386,8 @@ def _prepare_urdf(
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
+        for number, collision in enumerate(link.findall("collision"), 1):
+            collision.set("name", f"shape {number} of {link.get('name')}")  # for messages; a repeated name is a warning
         for inertial in link.findall("inertial"):  # kinematics uses neither mass nor inertia, and files have wrong ones
             inertial.clear()
             ElementTree.SubElement(inertial, "mass", value="1")
@@ -361,7 +397,7 @@ def _prepare_urdf(
     for mesh in root.iter("mesh"):
         file = _mesh_file(mesh.get("filename", ""), path, packages)
         if converted := _as_obj(file):
-            name = f"mesh_{len(assets)}.obj"
+            name = f"{file.stem}_{len(assets)}.obj"
             assets[name] = converted
             mesh.set("filename", name)
         else:
@@ -420,7 +456,7 @@ def _read_joints(root: ElementTree.Element, path: Path) -> UrdfExtras:
         if soft is not None and soft.get("soft_lower_limit") and soft.get("soft_upper_limit"):
             low = max(lower, _number(soft, "soft_lower_limit", lower, path))
             high = min(upper, _number(soft, "soft_upper_limit", upper, path))
-            _require_range(path, name, low, high)
+            _require_range(path, name, low, high, "<safety_controller soft_lower_limit soft_upper_limit>")
             if (low, high) != (lower, upper):
                 limit.attrib.update(lower=str(low), upper=str(high))
                 extras.soft.append(f"{name} {np.degrees(low):.6g} to {np.degrees(high):.6g} deg")
@@ -443,7 +479,7 @@ def _require_tree(root: ElementTree.Element, path: Path) -> None:
         if repeated is not None:
             problem = f"two {kind}s named '{repeated}'" if repeated else f"a {kind} without a name"
             raise SceneError(f"{path} has {problem}; give each {kind} its own name")
-    parents: dict[str, str] = {}
+    parents: dict[str, tuple[str, str]] = {}  # of each child: joint and parent
     for joint in joints:
         name, kind = joint.get("name", ""), joint.get("type", "")
         if kind not in _JOINT_TYPES:
@@ -457,10 +493,16 @@ def _require_tree(root: ElementTree.Element, path: Path) -> None:
                 raise SceneError(f"{path}: the joint '{name}' has the {end} '{link}', which is none of the links")
         if ends[1] in parents:
             raise SceneError(
-                f"{path}: the link '{ends[1]}' is the child of two joints, '{parents[ends[1]]}' and '{name}'; links "
+                f"{path}: the link '{ends[1]}' is the child of two joints, '{parents[ends[1]][0]}' and '{name}'; links "
                 "must form a tree"
             )
-        parents[ends[1]] = name
+        parents[ends[1]] = name, ends[0]
+    for link in links:
+        chain = [link]
+        while chain[-1] in parents:
+            chain.append(parents[chain[-1]][1])
+            if chain[-1] in chain[:-1]:
+                raise SceneError(f"{path}: the links {_name_list(chain)} form a cycle; links must form one tree")
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SceneError(
@@ -491,13 +533,12 @@ def _as_obj(file: Path) -> bytes | None:
     return ("\n".join(rows) + "\n").encode()
 
 
-def _require_range(path: Path, joint: str, lower: float, upper: float) -> None:
-    """Raise SceneError if a range [rad] is empty."""
+def _require_range(
+    path: Path, joint: str, lower: float, upper: float, where: str = "<limit lower upper velocity>"
+) -> None:
+    """Raise SceneError if a range [rad], which is given in `where`, is empty."""
     if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
-        raise SceneError(
-            f"{path}: the joint '{joint}' has the empty range {lower:g} to {upper:g}; correct its "
-            "<limit lower upper velocity>"
-        )
+        raise SceneError(f"{path}: the joint '{joint}' has the empty range {lower:g} to {upper:g}; correct its {where}")
 
 
 def _number(element: ElementTree.Element, key: str, default: float, path: Path) -> float:
@@ -510,11 +551,11 @@ def _number(element: ElementTree.Element, key: str, default: float, path: Path) 
 
 
 def _to_number(text: str, key: str, element: ElementTree.Element, path: Path) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        hint = "; write a decimal point" if "," in text else ""
-        raise SceneError(f"{path}: {key} of <{element.tag}> is '{text[:40]}', which is not a number{hint}") from None
+    with contextlib.suppress(ValueError):
+        if np.isfinite(number := float(text)) or element.tag in ("limit", "safety_controller"):
+            return number
+    hint = "; write a decimal point" if "," in text else ""
+    raise SceneError(f"{path}: {key} of <{element.tag}> is '{text[:40]}', which is not a number{hint}")
 
 
 def _require_plausible(path: Path, model: mujoco.MjModel, chain: list[int], velocity: Floats) -> None:
@@ -531,25 +572,26 @@ def _require_plausible(path: Path, model: mujoco.MjModel, chain: list[int], velo
             f"{path}: the joint '{model.joint(chain[joint]).name}' has the range {low:g} to {high:g} rad, "
             f"{span[joint] / (2 * np.pi):.0f} turns; limits are in radians, these seem to be in degrees"
         )
-    if (finite := velocity[np.isfinite(velocity)]).size and (finite > _MAX_SPEED).sum() >= 3:
+    if (finite := velocity[np.isfinite(velocity)]).size and (finite > _MAX_SPEED).any():
         raise SceneError(
             f"{path}: an axis has the speed {finite.max():g} rad/s; speeds are in rad/s, these seem to be in deg/s"
         )
     links = np.linalg.norm(model.body_pos[model.jnt_bodyid[chain]], axis=1)
     length = float(links.sum())
     solid = [geom for geom in range(model.ngeom) if model.geom_contype[geom] or model.geom_conaffinity[geom]]
-    sizes = {geom: float(model.geom_rbound[geom]) for geom in solid}
-    largest = max(sizes, key=lambda geom: sizes[geom], default=None)
-    if largest is not None and sizes[largest] > _MAX_SHAPE * length > 0:
+    sizes, away = model.geom_rbound, np.linalg.norm(model.geom_pos, axis=1)
+    largest = max(solid, key=lambda geom: float(sizes[geom] + away[geom]), default=None)
+    if largest is not None and sizes[largest] + away[largest] > _MAX_SHAPE * length > 0:
         body = model.body(model.geom_bodyid[largest]).name
         raise SceneError(
-            f"{path}: a shape of the link '{body}' is {2 * sizes[largest]:.3g} m wide, but the links of the arm are "
-            f'{length:.3g} m long in all; a mesh in millimetres needs scale="0.001 0.001 0.001"'
+            f"{path}: a shape of the link '{body}' is {2 * sizes[largest]:.3g} m wide, {away[largest]:.3g} m from its "
+            f"frame, but the links of the arm are {length:.3g} m long in all; an origin is in metres, and a mesh in "
+            'millimetres needs scale="0.001 0.001 0.001"'
         )
 
 
 def mesh_files(path: Path, packages: Mapping[str, Path]) -> list[Path]:
-    """Return the collision meshes of a URDF, or all meshes of an MJCF, each once, in the file's order.
+    """Return the collision meshes of a URDF, or included files and all meshes of an MJCF, each once, in order.
 
     Args:
         path: the description, which can be read.
@@ -558,14 +600,20 @@ def mesh_files(path: Path, packages: Mapping[str, Path]) -> list[Path]:
     Raises:
         FileError: if a mesh is missing.
     """
-    root = _parse(path)
+    import mujoco
+
+    (_, root), *included = _parse_all(path).items()
     if root.tag == "robot":
         names = [mesh.get("filename", "") for collision in root.iter("collision") for mesh in collision.iter("mesh")]
     else:
-        compiler = root.find("compiler")
-        folder = Path("" if compiler is None else compiler.get("meshdir", ""))
-        names = [str(folder / file) for mesh in root.iter("mesh") if (file := mesh.get("file")) is not None]
-    return [_mesh_file(name, path, packages) for name in dict.fromkeys(names)]
+        try:
+            with capture_mujoco_warnings():
+                spec = mujoco.MjSpec.from_file(str(path))  # a mesh's folder can be named in five ways
+        except ValueError as error:
+            raise FileError(f"{path} cannot be read as an arm: {describe_refusal(error)}") from error
+        stated = [Path(mesh.file) for mesh in spec.meshes if mesh.file]
+        names = [str(Path(spec.meshdir) / (file.name if spec.strippath else file)) for file in stated]
+    return [*(file for file, _ in included), *(_mesh_file(name, path, packages) for name in dict.fromkeys(names))]
 
 
 def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
@@ -584,7 +632,7 @@ def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
         paths = [path.resolve().parent / plain]
         folder = paths[0].parent
         others = (
-            [each.name for each in folder.iterdir() if each.name.lower() == paths[0].name.lower()]
+            [each.name for each in folder.iterdir() if each.name.lower() == paths[0].name.lower() and each.is_file()]
             if folder.is_dir()
             else []
         )

@@ -41,6 +41,24 @@ def test_collision_meshes_are_found_once_each(urdf: Path, tmp_path: Path) -> Non
         mesh_files(urdf, {})
 
 
+@pytest.mark.parametrize(
+    ("compiler", "file"),
+    [
+        ('<compiler assetdir="parts"/>', "c.stl"),
+        ('<compiler angle="radian"/><compiler meshdir="parts"/>', "c.stl"),
+        ('<compiler meshdir="parts" strippath="true"/>', "elsewhere/c.stl"),
+        ("", "parts/c.stl"),
+    ],
+)
+def test_meshes_and_included_files_of_an_mjcf_are_found(urdf: Path, compiler: str, file: str) -> None:
+    """The files are those that MuJoCo reads."""
+    arm, scene = urdf.with_name("arm.xml"), urdf.with_name("scene.xml")
+    arm.write_text(f'<mujoco>{compiler}<asset><mesh name="m" file="{file}"/></asset></mujoco>')
+    scene.write_text('<mujoco><include file="arm.xml"/></mujoco>')
+    assert mesh_files(arm, {}) == [urdf.with_name("parts") / "c.stl"]
+    assert mesh_files(scene, {}) == [arm, urdf.with_name("parts") / "c.stl"]
+
+
 def test_a_run_records_the_hashes_of_the_meshes(urdf: Path) -> None:
     """A changed mesh has another hash, which a scan compares. The built-in robot has no meshes."""
     scene = load_scene(None, {"robot": {"model": str(urdf)}})

@@ -169,11 +169,13 @@ def test_a_concave_polygon_of_a_robots_mesh_covers_its_own_surface(tmp_path: Pat
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [("", "a <mesh> without a file name"), ("A.stl", "there is a.stl: names are case-sensitive"),
-     ("m\\a.stl", "write / between folders"), ("b.stl", "copy the file there, or correct the name")],
+     ("m\\a.stl", "write / between folders"), ("b.stl", "copy the file there, or correct the name"),
+     ("folder", "copy the file there, or correct the name")],
 )  # fmt: skip
 def test_a_missing_mesh_is_named_with_the_cure(tmp_path: Path, name: str, sentence: str) -> None:
     """An empty name, another case, a backslash and a missing file have their own sentences."""
     (tmp_path / "a.stl").write_bytes(b"x")
+    (tmp_path / "folder").mkdir()
     with pytest.raises(CellError, match=sentence):
         read(tmp_path, urdf(link_2=MESH.format(name)))
 
