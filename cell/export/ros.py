@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from cell.export.program import Program
-from cell.robot.model import mesh_of
+from cell.robot.model import AXES, MimicJoints, mesh_of
 from cell.runs.folder import SCHEMA
 from cell.runs.run import Run
 from planner.geometry.rigid import inverse_rigid, rigid_transform
@@ -73,7 +73,8 @@ def _urdf(name: str, model: mujoco.MjModel, run: Run) -> tuple[dict[str, bytes],
         for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
             _add_geom(link, model, geom, f"{name}_meshes", meshes)
         if body:
-            _add_joint(root, model, body, links, _pose(data, body, int(model.body_parentid[body])))
+            T = _pose(data, body, int(model.body_parentid[body]))
+            _add_joint(root, model, body, links, T, run.motion.limits.velocity)
     part = ElementTree.SubElement(root, "link", name="planned_part")
     meshes[f"{name}_meshes/part.stl"] = _stl(run.reference.vertices, run.reference.faces)
     _add_shape(part, np.eye(4), "mesh", {"filename": f"{name}_meshes/part.stl"})
@@ -94,19 +95,27 @@ def _pose(data: mujoco.MjData, body: int, parent: int) -> Floats:
     return np.asarray(inverse_rigid(T[0]) @ T[1])
 
 
-def _add_joint(root: ElementTree.Element, model: mujoco.MjModel, body: int, links: list[str], T: Floats) -> None:
+def _add_joint(
+    root: ElementTree.Element, model: mujoco.MjModel, body: int, links: list[str], T: Floats, velocity: Floats
+) -> None:
+    """Add the joint that carries a body: an axis with its speed [rad/s], a joint that mimics one, or a fixed joint."""
     is_hinge = model.body_jntnum[body] == 1
     first = int(model.body_jntadr[body])
     name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, first) if is_hinge else f"{links[body]}_fixed"
-    joint = ElementTree.SubElement(root, "joint", name=name, type="revolute" if is_hinge else "fixed")
+    kind = ("revolute" if first < len(AXES) else "continuous") if is_hinge else "fixed"
+    joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=links[int(model.body_parentid[body])])
     ElementTree.SubElement(joint, "child", link=links[body])
     _add_origin(joint, T)
     if is_hinge:
-        low, high = model.jnt_range[first]
         ElementTree.SubElement(joint, "axis", xyz=_words(model.jnt_axis[first]))
-        limits = {"lower": f"{low:.12g}", "upper": f"{high:.12g}", "effort": _EFFORT, "velocity": "10"}
-        ElementTree.SubElement(joint, "limit", limits)
+    if kind == "revolute":
+        low, high, speed = (f"{value:.12g}" for value in (*model.jnt_range[first], velocity[first]))
+        ElementTree.SubElement(joint, "limit", lower=low, upper=high, effort=_EFFORT, velocity=speed)
+    elif kind == "continuous":
+        mimics, driven = MimicJoints.from_model(model), first - len(AXES)
+        multiplier = f"{mimics.ratio[driven]:.12g}"
+        ElementTree.SubElement(joint, "mimic", joint=AXES[mimics.axis[driven]], multiplier=multiplier)
 
 
 def _add_geom(

@@ -326,12 +326,8 @@ class Run(ArtefactFolder):
             return self.cell_spec().compile()
 
     def joint_names(self) -> list[str]:
-        """Return the names of the joints: those of the robot file, and of a rotary table."""
-        import mujoco
-
-        model = self.cell_model()
-        names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in range(model.njnt)]
-        return [*names, *(axis_name(axis) for axis in range(len(names), self.motion.q.shape[1]))]
+        """Return the names of the axes of the arm and of a rotary table."""
+        return [axis_name(axis) for axis in range(self.motion.q.shape[1])]
 
     @contextmanager
     def compiling(self) -> Iterator[None]:

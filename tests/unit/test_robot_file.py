@@ -555,6 +555,12 @@ def test_an_arm_from_a_file_is_planned_verified_and_driven(tmp_path: Path, run_c
     run_cell("edit", "run", "--keep-order", "--out=edited", cwd=tmp_path, code=0)
     assert json.loads((tmp_path / "edited/scene.resolved.json").read_text())["robot"]["name"] == "arm.urdf"
     run_cell("export", "edited", "--format=csv", "--scene=cell.toml", cwd=tmp_path, code=0)
+    run_cell("export", "run", "--format=ros", "--out=ros", "--name=trial", cwd=tmp_path, code=0)
+    trajectory = json.loads((tmp_path / "ros/trial_trajectory.json").read_text())
+    assert trajectory["joint_names"] == ["A1", "A2", "A3", "A4", "A5", "A6"]
+    exported = robot_file.read_robot(tmp_path / "ros/trial.urdf", base="base", flange="link_6")
+    assert exported.mimic_joints == (robot_file.MimicJoint("drives_lever", 2, -0.5, 0.0),)
+    np.testing.assert_allclose(exported.velocity, 3.0, rtol=1e-9)
     process = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
     assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in process.stderr, process.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
