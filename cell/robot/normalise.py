@@ -117,6 +117,7 @@ def _bodies(
     body.add_site(name=FLANGE, pos=R.T @ (frame.xpos - added[int(model.jnt_bodyid[ids[-1]])][1]), quat=quat)
     # Mimic joints after the six, each after its carrier.
     names = {*LINKS, *AXES, FLANGE, "world", "bracket", "housing", "part", "object", "post", "pedestal", "floor"}
+    names |= {"rotary table", "tool of a home"}
     for mimic in sorted(file.mimic_joints, key=lambda each: int(model.joint(each.joint).bodyid[0])):
         joint = model.joint(mimic.joint).id
         mimic_body = int(model.jnt_bodyid[joint])

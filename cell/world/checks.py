@@ -27,6 +27,7 @@ from cell.part.formats import own_units
 from cell.part.workpiece import size_findings
 from cell.robot.arm import wrist_in_flange, wrist_positions
 from cell.robot.model import AXES, model_warnings
+from cell.robot.model import limits as robot_limits
 from cell.scene.model import MeshFixture, Scene
 from cell.scene.regions import region_areas, with_regions
 from cell.scene.settle import Settings, SettledScene, settle
@@ -48,7 +49,9 @@ from cell.world.solids import (
 )
 from planner.geometry.mesh import concatenate_meshes
 from planner.path import indexed
-from planner.ports import ARM_AXES
+from planner.ports import ARM_AXES, axis_name
+from planner.timing.limits import scale_limits
+from planner.timing.move_time import move_time
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -59,6 +62,7 @@ _ROUNDING = 0.02  # of a tenth of a millimetre: rounding of coordinates does not
 
 _FIELD_GRID = 33  # rays per axis of the field of view, edges included: 2 deg apart at 60 deg
 _SKIN = 1e-6  # m; a housing with its front face in the source's plane does not occlude
+_LONGEST_RADIAN = 1000.0  # s; a tour of slower moves has more samples than fit into memory
 _SIGHT_LENGTH = 1.0  # m; depth at which the sensor's lines of sight end: nearer ends are inside the same fan
 _WRIST_SHAPES = ("link_6", "bracket")  # the shapes that carry the housing
 _STEPS, _HALVINGS = 24, 12
@@ -88,6 +92,7 @@ def find_problems(world: World) -> list[str]:
     solids = cell_solids(world)
     return [
         *_home_outside_limits(world),
+        *_unusable_speeds(world),
         *_occluded_field_of_view(world),
         *_housing_in_wrist(world, solids),
         *_part_outside_room(world, solids),
@@ -96,6 +101,25 @@ def find_problems(world: World) -> list[str]:
         *_arm_near_cell(world),
         *_home_in_table_swing(world),
     ]
+
+
+def _unusable_speeds(world: World) -> list[str]:
+    """Check that no axis exceeds the speed of its file, which no controller accepts, or moves for hours."""
+    own, file, settings = world.limits, np.degrees(robot_limits(world.model).velocity), world.scene.robot
+    problems = [
+        f"robot.velocity_deg_s has {speed:.6g} for {axis}, above the {most:.6g} deg/s of the robot's file; lower it "
+        "or correct the file"
+        for axis, speed, most in zip(AXES, np.degrees(own.velocity[:ARM_AXES]), file, strict=True)
+        if speed > most + 1e-6
+    ]
+    limits = scale_limits(own, settings.speed_scaling, settings.acceleration_scaling)
+    seconds = move_time(np.zeros(len(own.lower)), np.eye(len(own.lower)), limits)
+    if seconds.max() > _LONGEST_RADIAN:
+        problems.append(
+            f"{axis_name(int(seconds.argmax()))} takes {seconds.max():.3g} s for 1 rad, and the limit is "
+            f"{_LONGEST_RADIAN:g} s; raise robot.speed_scaling, robot.acceleration_scaling, or the limits of this axis"
+        )
+    return problems
 
 
 def find_warnings(world: World) -> list[str]:

@@ -317,7 +317,7 @@ def _add_surroundings(
         length = cell_shapes.POST_LENGTH if table is None else height_above_face(table, T_base_object, hull)
         middle = translation([0, 0, -length / 2])
         cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, length, middle)
-    names = {geom.name for geom in spec.geoms}
+    names = {each.name for each in (*spec.geoms, *spec.bodies)}
     for i, fixture in enumerate(scene.fixtures):
         if fixture.name in names:
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")

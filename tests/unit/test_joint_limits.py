@@ -8,7 +8,11 @@ import pytest
 from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.scene.file import load_scene
+from cell.scene.model import Scene
+from cell.world.checks import find_problems
+from cell.world.model import compile_world
 
+CUBE = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)])
 MODEL = robot.limits(robot.load())
 
 
@@ -49,3 +53,23 @@ def test_invalid_limits_are_refused_by_key(line: str, words: str, tmp_path: Path
     path.write_text(f"[robot]\n{line}\n")
     with pytest.raises(SceneError, match=words):
         load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentences"),
+    [
+        ({"velocity_deg_s": (156.0, 157.0, 156.0, 330.0, 330.0, 615.0)}, ["157 for A2, above the 156 deg/s"]),
+        ({"velocity_deg_s": (156.0, 156.0, 0.01, 330.0, 330.0, 615.0)}, ["A3 takes 5.73e+03 s for 1 rad"]),
+        (
+            {"speed_scaling": 1e-7},
+            ["A1 takes 3.67e+06 s for 1 rad, and the limit is 1000 s; raise robot.speed_scaling"],
+        ),
+        ({"acceleration_scaling": 1e-9}, ["s for 1 rad"]),
+        ({"speed_scaling": 0.001}, []),
+    ],
+)
+def test_speeds_that_no_controller_drives_are_problems(settings: dict[str, object], sentences: list[str]) -> None:
+    """An axis is at most as fast as the robot, and its motion has no billions of samples."""
+    problems = find_problems(compile_world(Scene.model_validate({"robot": settings}), CUBE))
+    assert len(problems) == len(sentences)
+    assert all(words in problem for words, problem in zip(sentences, problems, strict=True))

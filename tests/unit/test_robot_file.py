@@ -370,6 +370,18 @@ def test_a_cell_checks_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[
         np.testing.assert_allclose(data.site("flange").xpos, T[:3, 3], atol=1e-9)
 
 
+def test_names_of_levers_and_of_the_cell_are_distinct(tmp_path: Path) -> None:
+    """A lever may have the name of a shape of the cell; a fixture must not have that of a lever."""
+    for name in ("rotary table", "tool of a home", "link_3"):
+        path = written(tmp_path, urdf(LEVER.replace('"lever"', f'"{name}"')))
+        assert robot_spec.load_robot(path).body(f"{name} of the robot") is not None
+        robot_spec.load_robot.cache_clear()
+    clamp = {"name": "lever", "shape": "box", "size_mm": (10.0, 10.0, 10.0), "position_mm": (0.0, 900.0, 0.0)}
+    settings = {"robot": {"model": str(written(tmp_path, urdf(LEVER)))}, "fixtures": [clamp]}
+    with pytest.raises(CellError, match=r"fixtures\[0\].name is 'lever', a shape of the cell's own"):
+        compile_world(Scene.model_validate(settings), CUBE)
+
+
 def test_mimic_joints_on_the_base_are_in_the_travel_bound(tmp_path: Path) -> None:
     """A lever on the base that is driven by A3 moves within the bound while no link moves."""
     long = LEVER.replace('parent link="l2"', 'parent link="base_link"').replace('"0 -0.2 0.1"', '"0.9 0 0"')
