@@ -29,12 +29,13 @@ if TYPE_CHECKING:
 MAX_FILE = 10_000_000
 """Largest size of a robot's description [bytes]."""
 
-# tool0 first: in ROS-Industrial its z leaves the face. attachment_site: of the MuJoCo Menagerie.
-_FLANGES = ("tool0", "flange", "ee_link", "tool_flange", "attachment_site")
+# tool0 first: in ROS-Industrial its z leaves the face. The last two: of the MuJoCo Menagerie, and of Fanuc.
+_FLANGES = ("tool0", "flange", "ee_link", "tool_flange", "attachment_site", "fanuc_flange")
 _VECTORS = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "box": ("size",), "mesh": ("scale",)}
 _MAX_LINK = 50.0  # m; a larger distance between joints is in millimetres
 _MAX_SHAPE = 10.0  # radius of a shape in lengths of the arm
 _MAX_ANGLE = 2 * np.pi + 0.01
+_MAX_TILT = np.pi / 4  # between z of the flange and A6
 _MAX_TURNS = 5.0  # range of an axis
 _MAX_SPEED = 60.0  # rad/s; the fastest small arms reach 15
 _MAX_STL_FACES = 200_000  # of MuJoCo's reader
@@ -249,7 +250,8 @@ def _select_arm(
 
     bodies = [model.body(i).name for i in range(model.nbody)]
     sites = [name for i in range(model.nsite) if (name := model.site(i).name)]
-    end = flange or next((name for name in _FLANGES if name in bodies or name in sites), None)
+    usual = [name for name in _FLANGES if name in bodies or name in sites]
+    end = flange or min(usual, key=lambda name: _flange_tilt(model, name) > _MAX_TILT, default=None)  # else the first
     if end is None:
         raise SceneError(
             f"{path} has no link named flange or tool0; name the flange's link (robot.flange_link): "
@@ -300,7 +302,7 @@ def _select_arm(
     _require_plausible(path, model, chain, velocity)
     if extras.soft:
         file_warnings.append(f"{path.name} has soft limits, which are used: {', '.join(extras.soft)}")
-    if _flange_tilt(model, end, chain[-1]) > np.pi / 4:
+    if _flange_tilt(model, end) > _MAX_TILT:
         file_warnings.append(
             f"{path.name}: z of the link '{end}' is across A6, but z of the flange must point out of its face (in "
             "ROS x of 'flange' and 'ee_link' does): name another link as robot.flange_link, or turn the scanner by "
@@ -315,15 +317,19 @@ def _select_arm(
     )  # fmt: skip
 
 
-def _flange_tilt(model: mujoco.MjModel, end: str, joint: int) -> float:
-    """Return the angle between z of a link or site and the axis of a joint, 0 to 90 deg [rad]."""
+def _flange_tilt(model: mujoco.MjModel, end: str) -> float:
+    """Return the angle between z of a link or site and the axis that carries it, 0 to 90 deg [rad]; 0 without one."""
     import mujoco
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     is_body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, end) >= 0
+    carrier = int(model.body_weldid[model.body(end).id if is_body else model.site(end).bodyid[0]])
+    if not model.body_jntnum[carrier]:
+        return 0.0
     z = (data.body(end) if is_body else data.site(end)).xmat.reshape(3, 3)[:, 2]
-    return float(np.arccos(min(1.0, abs(z @ data.xaxis[joint]))))
+    axis = data.xaxis[model.body_jntadr[carrier] + model.body_jntnum[carrier] - 1]
+    return float(np.arccos(min(1.0, abs(z @ axis))))
 
 
 def _mimic_joints(path: Path, model: mujoco.MjModel, names: list[str], extras: UrdfExtras) -> tuple[MimicJoint, ...]:
@@ -342,7 +348,7 @@ def _mimic_joints(path: Path, model: mujoco.MjModel, names: list[str], extras: U
             )
         if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
             raise SceneError(
-                f"{path}: the joint '{name}' mimics '{source}' and slides; only a revolute joint may mimic, fix it"
+                f"{path}: the joint '{name}' mimics '{source}' and slides; only a revolute joint may, make it fixed"
             )
         mimic_joints.append(MimicJoint(name, names.index(source), ratio, offset))
     return tuple(mimic_joints)

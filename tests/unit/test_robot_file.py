@@ -514,6 +514,22 @@ def test_warnings_about_a_file(
     assert sentence.startswith("arm.xml: z of the link 'flange' is across A6")
 
 
+@pytest.mark.parametrize(("links", "flange"), [(("flange", "fanuc_flange"), "fanuc_flange"), (("flange",), "flange")])
+def test_the_default_flange_has_its_z_along_a6(links: tuple[str, ...], flange: str, tmp_path: Path) -> None:
+    """Of links with usual names the first with z out of the face is taken; x of Fanuc's `flange` leaves it."""
+    text = urdf().replace("tool0", links[-1])
+    if len(links) == 1:
+        text = text.replace(' rpy="0 1.5707963267948966 0"', "")
+    else:
+        text = text.replace(
+            "</robot>",
+            """<link name="flange"/><joint name="f" type="fixed"><parent link="l6"/>
+            <child link="flange"/></joint></robot>""",
+        )
+    file = robot_file.read_robot(written(tmp_path, text))
+    assert (file.flange, len(file.warnings)) == (flange, 2 - len(links))
+
+
 def test_fixed_shapes_beside_the_base_belong_to_the_arm(tmp_path: Path) -> None:
     """A column on the parent of base_link keeps its pose; the floor of an MJCF is omitted."""
     column = """<link name="table"><collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 1"/></geometry>
