@@ -183,7 +183,8 @@ def _parse(path: Path) -> ElementTree.Element:
     for element in root.iter():
         namespace, _, element.tag = element.tag.rpartition("}")
         left = [f"expression '{v[:60]}' ({k} of <{element.tag}>)" for k, v in element.items() if "${" in v or "$(" in v]
-        left += [f"element <{element.tag}>"] if "xacro" in namespace else []
+        is_used = "xacro" in namespace and element.tag not in ("property", "arg", "macro")  # these alone have no effect
+        left += [f"element <{element.tag}>"] if is_used else []
         if left:
             raise FileError(f"{path} has the xacro {left[0]}; expand it first: xacro {path.name} > robot.urdf")
     return root

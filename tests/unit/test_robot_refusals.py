@@ -164,8 +164,9 @@ def test_a_faulty_arm_is_refused_with_place_cause_and_cure(case: str, tmp_path: 
 
 
 def test_the_arms_without_a_fault_are_read(tmp_path: Path) -> None:
-    """The descriptions above are refused for their fault alone."""
-    for name, text in (("arm.urdf", urdf()), ("arm.xml", mjcf())):
+    """The descriptions above are refused for their fault alone. A property of xacro that nothing uses is no fault."""
+    xacro = 'name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="w" value="1"/>'
+    for name, text in (("arm.urdf", urdf().replace('name="r">', xacro)), ("arm.xml", mjcf())):
         (tmp_path / name).write_text(text)
         assert read_robot(tmp_path / name).joints == ("j1", "j2", "j3", "j4", "j5", "j6")
 
