@@ -24,6 +24,7 @@ from cell.export.names import check_name
 from cell.export.options import ExportOptions, Language
 from cell.robot.arm import chain_of, kinematics_of
 from cell.robot.makers import maker_language
+from cell.robot.model import ROUNDED, dimensions
 from cell.runs import current_scene
 from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
@@ -289,6 +290,9 @@ def load_program(
         info,
         float(directions[1] @ directions[2]),
     )
+    if program.status is None and (arm := dimensions(verified.world.model, ROUNDED)) is not None:
+        status, turn = status_and_turn(program.q[:, :ARM_AXES], KukaKinematics(arm, kinematics.limits))
+        program = replace(program, status=status, turn=turn)
     return program if scene.table is None else replace(program, T_base_table=scene.table.T_base_table)
 
 

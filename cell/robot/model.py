@@ -53,6 +53,9 @@ _FLANGE_AT_ZERO = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=np.float64)
 # Largest deviation of a model's axes for which the closed form, exact for ideal axes, is used [m and -].
 _TOLERANCE = 1e-9
 
+ROUNDED = 1e-4
+"""Largest deviation of the axes of a KUKA arm whose file has rounded angles [m and -]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MimicJoints(Value):
@@ -142,11 +145,12 @@ def home(model: mujoco.MjModel) -> Floats:
     return np.array(model.key_qpos[key][model.jnt_qposadr[_joints(model)]])
 
 
-def dimensions(model: mujoco.MjModel) -> Dimensions | None:
+def dimensions(model: mujoco.MjModel, tolerance: float = _TOLERANCE) -> Dimensions | None:
     """Return the lengths of an arm with the KR 16's axis directions, measured in the compiled model at A1..A6 = 0.
 
     Args:
         model: compiled model with joints A1..A6 and a site `flange`, the robot's base in its world's origin.
+        tolerance: largest deviation of the axes [m and -].
 
     Returns:
         None if `KukaKinematics` does not apply: other signs, zeros or offsets.
@@ -160,17 +164,18 @@ def dimensions(model: mujoco.MjModel) -> Dimensions | None:
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
     anchors, site = data.xanchor[joints], data.site(FLANGE)
+    anchors[[1, 2, 4], 1] = 0.0  # a file may name any point of an axis
     shoulder, elbow, forearm, wrist = anchors[1], anchors[2], anchors[3], anchors[4]
     misses = (
         np.abs(anchors[0, :2]).max(),  # A1 passes through the origin
         np.abs(data.xaxis[joints] - _DIRECTIONS).max(),
-        np.abs([shoulder[1], elbow[1], forearm[1], wrist[1], site.xpos[1]]).max(),  # all in the plane y = 0
+        np.abs([forearm[1], site.xpos[1]]).max(),  # all in the plane y = 0
         abs(elbow[2] - shoulder[2]),
         max(abs(forearm[2] - wrist[2]), np.abs(anchors[5, 1:] - wrist[1:]).max()),  # A4, A5 and A6 meet in one point
         abs(site.xpos[2] - wrist[2]),  # the flange is on A6, its z along it
         np.abs(site.xmat.reshape(3, 3) - _FLANGE_AT_ZERO).max(),
     )
-    if max(misses) > _TOLERANCE:
+    if max(misses) > tolerance:
         return None
     return Dimensions(
         d1=float(shoulder[2]),

@@ -1,7 +1,7 @@
 """Commands that follow a finished plan, as far as it supports them; printed by the command line and shown in pages."""
 
 from cell.robot.makers import maker_language
-from cell.robot.model import KR16, dimensions
+from cell.robot.model import KR16, ROUNDED, dimensions
 from cell.runs.cell import world_of
 from cell.runs.run import Run
 from cell.runs.schema import Report
@@ -40,7 +40,7 @@ def _has_program(report: Report, world: World | None, robot: str) -> bool:
         return False
     match maker_language(robot):
         case "krl":
-            return world is None or dimensions(world.model) is not None
+            return world is None or dimensions(world.model, ROUNDED) is not None
         case "urscript":
             return world is None or world.table is None
         case "rapid" | "ls":

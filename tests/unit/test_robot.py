@@ -259,8 +259,16 @@ def changed_model(change):
     ],
 )
 def test_another_arm_has_no_dimensions_of_a_kr_16(change):
-    """Arms with other signs, offsets or zeros have no dimensions of a KR 16."""
+    """Arms with other signs, offsets or zeros have no dimensions of a KR 16, also if its file is rounded."""
     assert robot.dimensions(changed_model(change)) is None
+    assert robot.dimensions(changed_model(change), robot.ROUNDED) is None
+
+
+def test_a_kuka_arm_in_a_rounded_file_keeps_its_dimensions():
+    """Angles with five decimals are not exact enough for the closed form, but the axes are KUKA's."""
+    model = changed_model(lambda spec: setattr(spec.joint("A5"), "axis", [0, 1, 1.4e-5]))
+    assert robot.dimensions(model) is None
+    assert robot.dimensions(model, robot.ROUNDED) == robot.dimensions(robot.load())
 
 
 @pytest.mark.parametrize(
