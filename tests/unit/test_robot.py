@@ -271,6 +271,18 @@ def test_a_kuka_arm_in_a_rounded_file_keeps_its_dimensions():
     assert robot.dimensions(model, robot.ROUNDED) == robot.dimensions(robot.load())
 
 
+def test_any_point_of_an_axis_names_it():
+    """A file may put the origins of A2, A3 and A5 beside the plane of the arm, on their axes."""
+
+    def move(spec):
+        for name, aside in (("link_2", 0.1), ("link_3", -0.05), ("link_4", -0.05), ("link_5", 0.03), ("link_6", -0.03)):
+            spec.body(name).pos[1] += aside
+
+    model = changed_model(move)
+    assert model.body("link_2").pos[1] == 0.1
+    assert robot.dimensions(model) == robot.dimensions(robot.load())
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
