@@ -63,9 +63,12 @@ class Batch:
 _FIRST_STEPWISE, _FIRST_TWO_STAGE = 1, 6
 """Number of first views: few for stepwise, whose later views are selected better; more for the rough model."""
 
-_FINE_GAIN_FACTORS, _LAST_GAIN_FACTOR = (2.0, 2.0, 1.0, 0.67), 0.4
-"""Factor of the minimum gain of each fine plan of two-stage, and of the last plan. Later plans know more of the surface
-and may use smaller gains; no plan measures what the last one leaves."""
+_GAIN_FACTORS: Mapping[SurfaceName, float] = MappingProxyType({BELIEVED: 2.0, MEASURED: 0.6})
+"""Factor of the minimum gain on each surface once little is uncovered: the belief promises too much late, the measured
+surface too little, and no later plan measures what it leaves."""
+
+_FINE_GAIN_FACTORS = (3.0, 3.0, 1.5, 1.0)
+"""Factor of the minimum gain of each fine plan. Later plans know more of the surface and may use smaller gains."""
 
 Policy = Callable[[ExploreOptions, ExplorationState], Sequence[Batch]]
 """Function that returns batches by priority. The first one with the minimum gain is executed; without such a batch the
@@ -80,7 +83,10 @@ def stepwise(options: ExploreOptions, state: ExplorationState) -> Sequence[Batch
     if state.stages == 0:
         return (Batch(_limit_views(state, options.ring or _FIRST_STEPWISE)),)
     surfaces = (MEASURED, BELIEVED) if state.on == MEASURED else (BELIEVED, MEASURED)
-    return tuple(Batch(_limit_views(state, options.batch), per_second=True, on=on) for on in surfaces)
+    return tuple(
+        Batch(_limit_views(state, options.batch), per_second=True, on=on, min_gain_factor=_GAIN_FACTORS[on])
+        for on in surfaces
+    )
 
 
 def two_stage(options: ExploreOptions, state: ExplorationState) -> Sequence[Batch]:
@@ -94,7 +100,7 @@ def two_stage(options: ExploreOptions, state: ExplorationState) -> Sequence[Batc
         return (Batch(_limit_views(state, options.ring or _FIRST_TWO_STAGE), rough=True),)
     if state.limited and state.stages == 1:
         return (Batch(state.n_left, include_covered=True),)
-    last = Batch(state.n_left, on=MEASURED, min_gain_factor=_LAST_GAIN_FACTOR)
+    last = Batch(state.n_left, on=MEASURED, min_gain_factor=_GAIN_FACTORS[MEASURED])
     if state.on == MEASURED:  # the continued surface follows the walls of tubes
         return (last,)
     factors = dict.fromkeys(_FINE_GAIN_FACTORS[state.stages - 1 :])  # a factor without a view is not tried again

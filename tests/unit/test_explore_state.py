@@ -161,17 +161,17 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
     assert policy(ExploreOptions(), ExplorationState(0, None)) == (Batch(1),)
     assert policy(ExploreOptions(ring=4), ExplorationState(0, None)) == (Batch(4),)
     assert policy(ExploreOptions(ring=4), ExplorationState(0, 2)) == (Batch(2),)
-    believed = Batch(3, per_second=True, on=BELIEVED)
-    measured = Batch(3, per_second=True, on=MEASURED)
+    believed = Batch(3, per_second=True, on=BELIEVED, min_gain_factor=2.0)
+    measured = Batch(3, per_second=True, on=MEASURED, min_gain_factor=0.6)
     assert policy(ExploreOptions(batch=3), ExplorationState(1, 9)) == (believed, measured)
     assert policy(ExploreOptions(batch=3), ExplorationState(7, 9, on=MEASURED)) == (measured, believed)
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
-    """After six rough views the minimum gain factor falls from 2 to 0.67 with the stages."""
+    """After six rough views the minimum gain factor falls from 3 to 1 with the stages."""
     policy = POLICIES["two-stage"]
-    much, less, least = (Batch(9, min_gain_factor=factor) for factor in (2.0, 1.0, 0.67))
-    last = Batch(9, on=MEASURED, min_gain_factor=0.4)
+    much, less, least = (Batch(9, min_gain_factor=factor) for factor in (3.0, 1.5, 1.0))
+    last = Batch(9, on=MEASURED, min_gain_factor=0.6)
     assert policy(ExploreOptions(), ExplorationState(0, 9)) == (Batch(6, rough=True),)
     every = (much, less, least, last)
     for stages, expected in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
