@@ -137,7 +137,8 @@ def kernels_compiled_once(shared: Path) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Dispatcher, "compile", compile_alone)
-        patch.setattr(logging.getLogger("planner.compiled"), "disabled", True)
+        for name in ("planner.compiled", "cell.world.self_collision"):
+            patch.setattr(logging.getLogger(name), "disabled", True)
         yield
 
 

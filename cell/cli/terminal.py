@@ -42,9 +42,10 @@ class Terminal:
         """
         self._errors = Console(stderr=True, highlight=False)
         self._results = self._errors if quiet_stdout else Console(highlight=False)
-        compiling = logging.Handler()
-        compiling.emit = lambda record: self.print_error(f"note: {record.getMessage()}")  # type: ignore[method-assign]
-        logging.getLogger("planner.compiled").handlers = [compiling]
+        first_time = logging.Handler()
+        first_time.emit = lambda record: self.print_error(f"note: {record.getMessage()}")  # type: ignore[method-assign]
+        for name in ("planner.compiled", "cell.world.self_collision"):
+            logging.getLogger(name).handlers = [first_time]
 
     @contextmanager
     def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:

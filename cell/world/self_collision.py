@@ -11,7 +11,7 @@ A's points move by the joints up to s, and B's by those after it, so that the di
 for every s. R_Ai is the largest distance of a point of A from axis i at any angles: for the joint that A carries it is
 that of its points; for another the length from anchor to anchor, and from the last to the farthest point. A box is
 settled if the distance at its middle exceeds this change plus the required distance; any other box is halved, the one
-with the smallest lower bound first.
+nearest to contact first.
 
 **Links of an arm from a file** (`LinkPairs`): two links that touch at every one of `N_POSES` seeded poses are joined by
 something that the chain does not show (a closed bearing, a parallelogram). Two that come near each other and are proven
@@ -30,6 +30,7 @@ import hashlib
 import heapq
 import itertools
 import json
+import logging
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
@@ -47,6 +48,9 @@ from planner.values import Floats
 
 if TYPE_CHECKING:
     import mujoco
+
+log = logging.getLogger(__name__)
+log.addHandler(logging.NullHandler())  # without a handler, Python would print the warning on stderr
 
 MAX_CONFIGURATIONS = 200_000
 """Configurations after which a separation proof gives up."""
@@ -106,7 +110,7 @@ def prove_separation(
         mujoco.mj_kinematics(model, data)
         measured = reach = distance + float(changes[stationary])
         for a, b in pairs:
-            measured = min(measured, shapes.distance(data, a, b, measured))
+            measured = min(measured, shapes.distance(data, a, b, measured, any_nearer=True))
         if measured < distance:
             return False
         if measured < reach:
@@ -243,6 +247,11 @@ class LinkPairs:
         """Measure two links in the present configuration [m], at most `reach`."""
         return min(self.shapes.distance(self._data, a, b, reach) for a, b in self.pairs[pair])
 
+    def is_nearer(self, pair: tuple[str, str], reach: float) -> bool:
+        """Return whether two links are nearer than `reach` [m] in the present configuration."""
+        measure = self.shapes.distance
+        return any(measure(self._data, a, b, reach, any_nearer=True) < reach for a, b in self.pairs[pair])
+
     def in_contact(self, pair: tuple[str, str]) -> bool:
         """Return whether the triangles of two links touch in the present configuration."""
         measure = self._triangles.distance
@@ -264,15 +273,21 @@ class LinkPairs:
         file = cache_folder("robots") / f"{self._digest()}.json"
         with contextlib.suppress(OSError, ValueError, TypeError):
             return PairClasses(**json.loads(file.read_text(encoding="utf-8")))
+        log.warning("comparing the links of the robot, once for all later runs: this takes seconds to minutes")
         joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
         for q in self.q:
             self.set_configuration(q)
             joined = [pair for pair in joined if self.in_contact(pair)]
             lowest |= dict.fromkeys(joined, 0.0)
             for pair in self.pairs:
-                if pair not in joined and (lowest[pair] > 0 or widest[pair] < _NEAR):
+                if pair in joined:
+                    continue
+                # A distance between the smallest and the largest one so far changes neither.
+                if widest[pair] < _NEAR and not self.is_nearer(pair, widest[pair]):
                     distance = self.distance(pair, _NEAR)
                     lowest[pair], widest[pair] = min(lowest[pair], distance), max(widest[pair], distance)
+                elif lowest[pair] > 0:
+                    lowest[pair] = min(lowest[pair], self.distance(pair, min(lowest[pair], _NEAR)))
         separate = {
             pair: distance / 2
             for pair, distance in lowest.items()

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import logging
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -215,6 +216,11 @@ def test_sampled_poses_without_contact_are_no_proof(tmp_path: Path) -> None:
     found = own.classify()
     assert (found.joined, found.separate) == ([], [])
     assert [pair[:2] for pair in found.reduced] == [("link_4", "link_6")]
+    distances = []
+    for q in own.q:
+        own.set_configuration(q)
+        distances.append(own.distance(("link_4", "link_6"), 1.0))
+    assert found.reduced[0][2] == pytest.approx(max(distances) / 2, abs=1e-7)
 
 
 @pytest.mark.parametrize("levers", ["", LEVER])
@@ -404,6 +410,21 @@ def test_a_first_link_that_tips_is_checked_against_the_floor(tmp_path: Path, tip
     assert (frozenset(("link_1", "pedestal")) in pairs) is is_checked
 
 
+def test_links_are_compared_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A note announces the comparison of an unknown arm; the next process reads its result."""
+    monkeypatch.setattr(logging.getLogger("cell.world.self_collision"), "disabled", False)
+    own = LinkPairs(normalise(robot_file.read_robot(written(tmp_path, urdf()))).compile())
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing_known"))
+    classes = own.classify()
+    assert [record.getMessage()[:31] for record in caplog.records] == ["comparing the links of the robo"]
+    caplog.clear()
+    again = own.classify()
+    assert (again.joined, again.reduced) == ([list(p) for p in classes.joined], [list(p) for p in classes.reduced])
+    assert not caplog.records
+
+
 def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pair that touches only at the first sampled pose gets half of the largest sampled distance as clearance."""
     own = LinkPairs(robot_spec.load_robot(written(tmp_path, urdf())).compile())
@@ -417,6 +438,7 @@ def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: p
 
     own.set_configuration, own.in_contact = move, lambda _: distances[-1] <= 0  # type: ignore[method-assign]
     own.distance = lambda _, reach: distances[-1] - 0.01 * (len(distances) == 3)  # type: ignore[method-assign]
+    own.is_nearer = lambda pair, reach: own.distance(pair, reach) < reach  # type: ignore[method-assign]
     assert own.classify().reduced == [(*pair, 0.0075)]
 
 
