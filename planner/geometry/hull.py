@@ -18,6 +18,8 @@ MIN_THICKNESS = 2e-4  # m; far below any useful clearance, and still a solid for
 CONVEX = 1e-3
 """Largest depth of a face below its mesh's hull at which the hull represents the mesh [m]."""
 
+_BLOCK = 1024  # points that are compared with all planes of a hull at a time: with thousands of planes some 20 MB
+
 
 def solid_hull(vertices: Floats, name: str = "part") -> TriangleMesh:
     """Compute the convex hull of points, at least `MIN_THICKNESS` thick in every direction.
@@ -78,5 +80,6 @@ def _is_convex(vertex_bytes: bytes, face_bytes: bytes) -> bool:
         return False
     corners = vertices[np.frombuffer(face_bytes, dtype=np.int32).reshape(-1, 3)]
     points = np.concatenate([corners.mean(axis=1), *(corners[:, [i, i - 1]].mean(axis=1) for i in range(3))])
-    depth = -(points @ planes[:, :3].T + planes[:, 3]).max(axis=1)
-    return bool(depth.max() <= CONVEX)
+    blocks = (points[begin : begin + _BLOCK] for begin in range(0, len(points), _BLOCK))
+    depths = (-(block @ planes[:, :3].T + planes[:, 3]).max(axis=1) for block in blocks)
+    return all(bool(depth.max() <= CONVEX) for depth in depths)
