@@ -60,6 +60,7 @@ gc.disable()
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int | None:
     """Return one worker more than cores: the worker of tests in real time hardly uses a core."""
     return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else threads.CORES + 1

@@ -152,7 +152,7 @@ class _Reader:
         self._primary_angle = next((primary for _, primary in reversed(angles) if primary), "radian")
         self._metres = shapes.get(primary, 1e-3)
         self._faces = _FaceFinder(self._by_id, self._metres, part, cad)
-        self._tables: dict[tuple[int, ...], dict[str, object]] = {}
+        self._tables: dict[tuple[str | int, ...], dict[str, object]] = {}
         self._result = QifContent()
         self._letters: dict[str, str] = {}
         self._linear_units_used: dict[str, list[str]] = {}
@@ -206,9 +206,9 @@ class _Reader:
             for step in ("FeatureNominalIds/Id", "EntityInternalIds/Id", "Surface/Id"):
                 place = self._by_id.get(place.findtext(step), nominal)
             target, drawn = nominal.find("TargetValue"), place.findtext(".//Diameter")
-            if target is not None and drawn:
+            if target is not None and drawn and (size := _number(drawn, "diameter")) > 0:
                 unit = self._linear.get(target.get("linearUnit") or self._primary, 0.0)
-                ratios.append(_number(target.text, "value") * unit / (_number(drawn, "diameter") * self._metres))
+                ratios.append(_number(target.text, "value") * unit / (size * self._metres))
         return float(np.median(ratios[1:] or ratios))
 
     def _units(self, tag: str, known: Mapping[str, float]) -> tuple[dict[str, float], str]:
@@ -278,13 +278,14 @@ class _Reader:
         """Return the table of a feature; it is added at the first call."""
         numbers = self._table_faces(nominal)
         kind = _FEATURES[nominal.tag.removesuffix("FeatureNominal")]
-        kinds = [each for _, each in self._faces.groups(numbers)]
-        if kind != "surface" and kinds != (["plane", "plane"] if kind == "width" else [kind]):
+        kinds = [] if kind == "surface" else [each for _, each in self._faces.groups(numbers)]
+        if kinds != {"surface": [], "width": ["plane", "plane"]}.get(kind, [kind]):
             raise _UnsupportedError(f"its feature is a {kind} with faces on {len(kinds)} surfaces: {', '.join(kinds)}")
         return self._table(numbers, kind, f"{kind} {nominal.get('id')}")
 
     def _table(self, numbers: tuple[int, ...], kind: str, name: str) -> dict[str, object]:
-        return self._tables.setdefault(numbers, {"name": name, "faces": numbers, "kind": kind, "characteristic": []})
+        key: tuple[str | int, ...] = (kind, *numbers)
+        return self._tables.setdefault(key, {"name": name, "faces": numbers, "kind": kind, "characteristic": []})
 
     def _add_characteristic(self, kind: str, name: str, nominal: ElementTree.Element) -> None:
         if kind not in _KINDS:
@@ -304,7 +305,7 @@ class _Reader:
             own = f"{name} [{number}/{len(features)}]" if len(features) > 1 else name
             table = self._feature(feature)
             if table["kind"] not in _MEASURED.get(kind, (table["kind"],)):
-                raise _UnsupportedError(f"a {kind.lower()} of a {table['kind']} is not supported")
+                raise _UnsupportedError(f"{kind} of a {table['kind']} is not supported")
             is_cone = kind == "Angle" and table["kind"] == "cone"
             self._append(table, content | {"name": own} | ({"kind": "size"} if is_cone else {}))
 
@@ -321,6 +322,8 @@ class _Reader:
         if kind not in _FEATURES:
             raise _UnsupportedError(f"its feature is a {kind}, which is not supported")
         numbers = self._faces.numbers([each.text or "" for each in nominal.iterfind("EntityInternalIds/Id")])
+        if _FEATURES[kind] == "surface":  # of faces of any kind
+            return numbers
         # A blind hole has its bottom, too.
         groups = self._faces.groups(numbers)
         own = tuple(sorted(n for group, each in groups if each == _FEATURES[kind] for n in group))
@@ -459,12 +462,12 @@ class _FaceFinder:
         numbers = [self._cad.faces[index].number for index, each in near.items() if each.all()]
         if not numbers:
             touched = {self._cad.faces[index].number: each for index, each in near.items() if each.any()}
-            whole = [
+            complete = [
                 group
                 for group, _ in self.groups([*touched])
                 if np.any([touched[number] for number in group], axis=0).all()
             ]
-            numbers = list(whole[0]) if len(whole) == 1 else []
+            numbers = list(complete[0]) if len(complete) == 1 else []
         if not numbers:
             self.has_unknown = True
             raise _UnsupportedError(f"face {face_id} of the file is no face of the part")

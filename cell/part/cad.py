@@ -166,17 +166,17 @@ def read_step(source: str, content: bytes, units: str = "m") -> StepModel:
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
     others = _other_files(content)
-    content = _without_marks(content)
+    content = _without_separators(content)
     factor = _factor_to_metres(source, content, units)
     content, n_hidden = _without_hidden_bodies(content)
     groups = _solids_and_sheets(_without_styles(content))
-    model = _read_groups(source, groups, 1.0)
+    model = _read_groups(source, groups, 1.0, factor)
     if not len(model.faces):
         raise _no_surface(source, others)
     error = _volume_error(source, groups, model)
     if error > MAX_VOLUME_ERROR:
         scale = max((MAX_VOLUME_ERROR / (2 * error)) ** 0.5, 1 / 16)  # the error grows with the square of the angle
-        model = _read_groups(source, groups, scale)
+        model = _read_groups(source, groups, scale, factor)
         error = _volume_error(source, groups, model, scale)
     if error > MAX_VOLUME_ERROR:
         sentence = f"the triangles differ from the surfaces of the file by {100 * error:.2g} % of the volume"
@@ -206,12 +206,12 @@ def _factor_to_metres(source: str, content: bytes, units: str) -> float:
 
 
 _TEXT = re.compile(rb"/\*.*?(?:\*/|\Z)|'[^']*'", re.DOTALL)
-_MARKS = bytes.maketrans(b"();#", b"____")
+_SEPARATORS = bytes.maketrans(b"();#", b"____")
 
 
-def _without_marks(content: bytes) -> bytes:
+def _without_separators(content: bytes) -> bytes:
     """Remove comments, and the brackets, semicolons and number signs of names, which separate entities elsewhere."""
-    return _TEXT.sub(lambda match: b" " if match[0][:1] == b"/" else match[0].translate(_MARKS), content)
+    return _TEXT.sub(lambda match: b" " if match[0][:1] == b"/" else match[0].translate(_SEPARATORS), content)
 
 
 _ENTITY = re.compile(rb"#(\d+)\s*=\s*(\w+)\s*\(([^;]*)\)\s*;")
@@ -303,8 +303,8 @@ def _solids_and_sheets(content: bytes) -> list[_Group]:
     return [*groups, _Group(_without_items(content, solids | copies), only_solids=False)] if sheets else groups
 
 
-def _read_groups(source: str, groups: list[_Group], scale: float) -> StepModel:
-    """Return the solids of all groups, triangulated with tolerances that are scaled."""
+def _read_groups(source: str, groups: list[_Group], scale: float, factor: float = 1.0) -> StepModel:
+    """Return the solids of all groups, triangulated with scaled tolerances; a length is `factor` metres in findings."""
     bodies: list[_Body] = []
     for number, group in enumerate(groups):
         glb_content = _triangulate(source, group.content, scale=scale, may_be_empty=number > 0)
@@ -314,7 +314,7 @@ def _read_groups(source: str, groups: list[_Group], scale: float) -> StepModel:
         except (glb.GlbError, KeyError, TypeError, ValueError) as error:
             raise _broken_file(source) from error
     try:
-        return _join_solids(bodies)
+        return _join_solids(bodies, factor)
     except ValueError as error:
         raise _broken_file(source) from error
 
@@ -376,7 +376,7 @@ def read_coloured_step(source: str, content: bytes, units: str = "m") -> tuple[F
         UsageError: if both the file and the caller state a unit, or neither does.
         FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
-    content = _without_marks(content)
+    content = _without_separators(content)
     factor = _factor_to_metres(source, content, units)
     try:
         # With one primitive per face; merged ones would have only the colour of their body.
@@ -527,12 +527,12 @@ def _is_closed(primitive: glb.Primitive) -> NDArray[np.bool_]:
     return closed
 
 
-def _join_solids(bodies: list[_Body]) -> StepModel:
+def _join_solids(bodies: list[_Body], factor: float) -> StepModel:
     """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
     any_solid = any(body.of_solid or body.area(body.closed) > 0 for body in bodies)
     selection = [(body, body.closed | (body.of_solid or not any_solid)) for body in bodies]
-    omitted = sum(body.area(~mask) for body, mask in selection)
-    gaps = sum(body.area(~body.closed) for body in bodies if body.of_solid)
+    omitted = factor**2 * sum(body.area(~mask) for body, mask in selection)
+    gaps = factor**2 * sum(body.area(~body.closed) for body in bodies if body.of_solid)
     vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[mask]) for body, mask in selection)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]

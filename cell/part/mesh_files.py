@@ -39,7 +39,7 @@ _OTHER_CONTENT = {
 }
 """Sentence for the first bytes of other files, and the suffixes that may have them."""
 
-_ROUNDING = 1e-12
+_ROUNDING = 1.1e-9
 """Distance of equal vertices as a share of the largest coordinate: CAD programs write rounding errors, such as 1e-17
 for zero, which differ between the corners at one vertex."""
 

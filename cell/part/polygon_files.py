@@ -141,13 +141,13 @@ def read_off(content: bytes) -> PolygonMesh:
     n_vertices, n_faces = int(counts[0]), int(counts[1])
     rows = filled[1:]
     if len(rows) != n_vertices + n_faces:
-        broken = _off_rows(" ".join(lines[k] for k in rows).split(), n_vertices, n_faces)
-        if broken is None:
+        rebuilt = _off_rows(" ".join(lines[k] for k in rows).split(), n_vertices, n_faces)
+        if rebuilt is None:
             raise PolygonError(
                 f"announces {n_vertices} vertices and {n_faces} faces but has {len(rows)} rows, one is needed for "
                 "each; export or copy it again"
             )
-        lines, rows = broken, list(range(len(broken)))
+        lines, rows = rebuilt, list(range(len(rebuilt)))
     of_vertices, of_faces = rows[:n_vertices], rows[n_vertices:]
     vertices = _vertices([lines[k] for k in of_vertices], of_vertices)[0]
     numbers, widths = _table([lines[k] for k in of_faces], of_faces)
@@ -175,7 +175,7 @@ def _off_rows(words: list[str], n_vertices: int, n_faces: int) -> list[str] | No
         return None
     rows = [" ".join(words[k : k + 3]) for k in range(0, at, 3)]
     for _ in range(n_faces):
-        if at >= len(words) or not words[at].isdecimal():
+        if at >= len(words) or not (words[at].isdecimal() and len(words[at]) < 10):
             return None
         begin, at = at, at + 1 + int(words[at])
         rows.append(" ".join(words[begin:at]))

@@ -286,9 +286,9 @@ def _thinned(ease: Floats, count: int) -> tuple[Ints, Floats]:
         return np.arange(len(ease)), np.ones(len(ease))
     is_measured = ease > 0
     n_unmeasured = int((~is_measured).sum())
-    kept = min(n_unmeasured, count // 2)
-    share = np.full(len(ease), kept / max(1, n_unmeasured))
-    share[is_measured] = _shares(ease[is_measured], count - kept)
+    n_kept = min(n_unmeasured, count // 2)
+    share = np.full(len(ease), n_kept / max(1, n_unmeasured))
+    share[is_measured] = _shares(ease[is_measured], count - n_kept)
     return np.flatnonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0), share
 
 

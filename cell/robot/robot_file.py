@@ -143,8 +143,10 @@ def read_robot(
                 spec = mujoco.MjSpec.from_file(str(path))
                 _require_only_kinematics(spec.compiler)
                 for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
+                    names = {element.name for element in elements}
                     for number, element in enumerate(elements):
-                        element.name = element.name or f"{kind} {number}"
+                        own = f"{kind} {number}"
+                        element.name = element.name or (own if own not in names else f"{own} without name")
                 model = spec.compile()
                 extras.mimics.update(_equalities(model))
     except ValueError as error:
@@ -180,13 +182,17 @@ def _parse(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise FileError(f"{path} is not XML: {error}; give a URDF or an MJCF") from error
+    for parent in [*root.iter()]:
+        for child in [*parent]:
+            if "xacro" in child.tag and child.tag.rpartition("}")[2] in ("property", "arg", "macro"):
+                parent.remove(child)  # alone they have no effect
     for element in root.iter():
         namespace, _, element.tag = element.tag.rpartition("}")
-        left = [f"expression '{v[:60]}' ({k} of <{element.tag}>)" for k, v in element.items() if "${" in v or "$(" in v]
-        is_used = "xacro" in namespace and element.tag not in ("property", "arg", "macro")  # these alone have no effect
-        left += [f"element <{element.tag}>"] if is_used else []
-        if left:
-            raise FileError(f"{path} has the xacro {left[0]}; expand it first: xacro {path.name} > robot.urdf")
+        values = [(key, value[:60]) for key, value in element.items() if "${" in value or "$(" in value]
+        xacro = [f"expression '{value}' ({key} of <{element.tag}>)" for key, value in values]
+        xacro += [f"element <{element.tag}>"] if "xacro" in namespace else []
+        if xacro:
+            raise FileError(f"{path} has the xacro {xacro[0]}; expand it first: xacro {path.name} > robot.urdf")
     return root
 
 
@@ -295,7 +301,9 @@ def _select_arm(
                 f"{path}: the joint '{name}' is one of the six and mimics '{extras.mimics[name][0]}'; an arm needs six "
                 "independent joints"
             )
-    if (away := np.abs(np.concatenate([model.body_pos, model.site_pos])).max()) > _MAX_LINK:  # fixed joints, too
+    own = model.body_rootid == top
+    places = np.concatenate([model.body_pos[own], model.site_pos[own[model.site_bodyid]]])  # fixed joints, too
+    if (away := np.abs(places).max()) > _MAX_LINK:
         raise SceneError(
             f"{path}: joints are {away:.3g} m apart; a URDF is in metres, this one seems to be in millimetres"
         )
@@ -360,7 +368,7 @@ def _equalities(model: mujoco.MjModel) -> dict[str, tuple[str, float, float]]:
     import mujoco
 
     coupled = {}
-    for i in range(model.neq):
+    for i in np.flatnonzero(model.eq_active0).tolist():
         one, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
         offset, ratio, *curved = model.eq_data[i][:5].tolist()
         if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and other >= 0 and not any(curved):
@@ -504,12 +512,17 @@ def _require_tree(root: ElementTree.Element, path: Path) -> None:
                 "must form a tree"
             )
         parents[ends[1]] = name, ends[0]
+    without_cycle: set[str] = set()
     for link in links:
-        chain = [link]
-        while chain[-1] in parents:
-            chain.append(parents[chain[-1]][1])
-            if chain[-1] in chain[:-1]:
-                raise SceneError(f"{path}: the links {_name_list(chain)} form a cycle; links must form one tree")
+        chain = {link: None}
+        while link in parents and link not in without_cycle:
+            link = parents[link][1]
+            if link in chain:
+                names = [*chain, link]
+                cycle = _name_list(names[names.index(link) :])
+                raise SceneError(f"{path}: the links {cycle} form a cycle; links must form one tree")
+            chain[link] = None
+        without_cycle.update(chain)
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         raise SceneError(

@@ -13,7 +13,7 @@ import pytest
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.export import krl, tables
 from cell.export.options import ExportOptions
-from cell.export.program import ProgramInfo, ProgramSettings, program_of_motion
+from cell.export.program import ProgramInfo, ProgramSettings, program_of_motion, status_and_turn
 from cell.files import model_file
 from cell.robot import model as robot
 from cell.robot.arm import kr16_kinematics
@@ -56,13 +56,37 @@ def test_planning_driving_and_export_use_its_limits(other: Path, run_cell: RunCo
     """The simulated controller takes the planned time, and exported programs have the ranges."""
     run_cell("scan", other, "--resolution", "2", cwd=other, code=0)
     planned = json.loads((other / "report.json").read_text())["motion"]["duration_s"]
-    moving = json.loads((other / "executions" / "0001" / "manifest.json").read_text())["motion_s"]
+    moving = json.loads((max((other / "executions").iterdir()) / "manifest.json").read_text())["motion_s"]
     assert moving == pytest.approx(planned, abs=1e-3)
     for kind in ("krl", "csv", "json"):
         assert run_cell("export", other, "--format", kind, cwd=other).returncode == 0
     exported = json.loads((other / "export" / "run.json").read_text())
     assert exported["joint_limits_deg"] == [list(pair) for pair in zip(LOWER, UPPER, strict=True)]
     assert "-95" in (other / "export" / "run.src").read_text()
+
+
+def test_a_kuka_arm_in_a_rounded_file_is_exported_as_krl(
+    tmp_path: Path, part_file: Path, run_cell: RunCommand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its axes are off by less than rounding; status and turn are those of the exact arm."""
+    exact = kr16_kinematics()
+
+    def rounded() -> mujoco.MjSpec:
+        spec = mujoco.MjSpec.from_file(str(model_file("kr16.xml")))
+        spec.joint("A5").axis = [0, 1, 1.4e-5]
+        return spec
+
+    monkeypatch.setattr(robot, "spec", rounded)
+    run_cell(
+        "plan", part_file, "--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff",
+        "250", "--candidates", "optimal-scanning-zone", "--coverage", "0.3", "--out", "run", cwd=tmp_path, code=0,
+    )  # fmt: skip
+    for kind in ("krl", "json"):
+        run_cell("export", "run", "--format", kind, cwd=tmp_path, code=0)
+    points = json.loads((tmp_path / "run" / "export" / "run.json").read_text())["via_points"]
+    expected = status_and_turn(np.radians([point["axes_deg"] for point in points]), exact)
+    assert [point["status"] for point in points] == expected[0].tolist()
+    assert [point["turn"] for point in points] == expected[1].tolist()
 
 
 def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(

@@ -7,7 +7,7 @@ from benchmarks.motion_recheck import check_scene
 from benchmarks.seeded_scenes import usable
 from benchmarks.triangle_cell import TriangleCell
 
-SCENES = [(0, "synchronised", 5), (1, "indexed", 5)]
+SCENES = [(0, "synchronised", 5), (1, "indexed", 5), (7, "", 5)]
 SLOW = [
     pytest.param(number, table, 10, marks=pytest.mark.slow)
     for table, first in (("", 7), ("synchronised", 0), ("indexed", 1))

@@ -215,13 +215,13 @@ class TestQif:
         conversion = "<UnitConversion><Factor>0.0254</Factor></UnitConversion>"
         sizes = f"<PMILinearUnit><SIUnitName>meter</SIUnitName><UnitName>inch</UnitName>{conversion}</PMILinearUnit>"
         text = bored_block_qif().replace("</LinearUnit></PrimaryUnits>", f"</LinearUnit>{sizes}</PrimaryUnits>")
-        text = text.replace("<MinValue>15.9", '<MinValue linearUnit="inch">15.9').replace(
+        text = text.replace("<MinValue>15.9", '<MinValue linearUnit="mm_">15.9').replace(
             "<UnitName>mm<", "<UnitName>mm_<"
         )
         plan, unsupported = self.read(block, tmp_path, text)
         assert unsupported == []
         limits = {each.name: (each.lower, each.upper) for each in plan.characteristics}
-        assert limits["Diameter 42"] == pytest.approx((15.9 * 25.4, 16.2 * 25.4))
+        assert limits["Diameter 42"] == pytest.approx((15.9, 16.2 * 25.4))
         assert limits["Position 43"][1] == pytest.approx(0.4 * 25.4)
         assert limits["Flatness 41"][1] == pytest.approx(0.3)
         done = inspected(block, points_on(block, 5000, 1e-5), only(plan, "Diameter 42")).result
@@ -273,7 +273,10 @@ class TestQif:
         assert plan.feature("cylinder 1300").faces == (7,)
         assert [each.name for each in plan.characteristics] == ["Diameter 42"]
         assert "Flatness 41 (Flatness): its feature is a plane with faces on 2 surfaces: plane, plane" in unsupported
-        assert "Width 57 (Width): a width of a cylinder is not supported" in unsupported
+        assert "Width 57 (Width): Width of a cylinder is not supported" in unsupported
+        (tmp_path / "freeform.qif").write_text(text.replace("PlaneFeature", "FreeformFeature"))
+        features = read_qif(tmp_path / "freeform.qif", block).features
+        assert [each.faces for each in features if each.kind == "surface"] == [(3, 6)]
 
     def test_the_angle_of_a_cone_is_its_size(self, block: Workpiece, tmp_path: Path) -> None:
         """Its diameter has no place, and is named."""
@@ -290,7 +293,7 @@ class TestQif:
         angle = next(each for each in resolve_features(part, content.features)[1] if each.name == "Angle 58")
         assert (angle.kind, angle.unit) == ("size", "deg")
         assert (angle.nominal, angle.lower, angle.upper) == pytest.approx((118, 117, 119))
-        assert "Diameter 42 (Diameter): a diameter of a cone is not supported" in content.unsupported
+        assert "Diameter 42 (Diameter): Diameter of a cone is not supported" in content.unsupported
 
     def test_a_known_unit_needs_no_conversion(self, block: Workpiece, tmp_path: Path) -> None:
         text = bored_block_qif()

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from benchmarks import generated_files
 from cell.errors import FileError
@@ -515,6 +516,10 @@ def test_rounding_errors_do_not_open_the_surface(tmp_path: Path, shift: float) -
         noise = error * np.random.default_rng(0).standard_normal(corners.shape)
         part = from_arrays("l", (corners + noise).reshape(-1, 3), np.arange(60).reshape(-1, 3), "mm")
         assert [finding.kind for finding in part.findings] == findings
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=50.0)
+    places = ball.vertices[ball.faces].reshape(-1, 3)
+    places = np.nextafter(places, np.random.default_rng(0).choice((-2.0, 2.0), places.shape))  # 1 ulp
+    assert from_arrays("ball", places, np.arange(len(places)).reshape(-1, 3), "mm").findings == ()
     numbers = corners.astype("<f4")
     numbers[::3][numbers[::3] == 0] = 1e-17
     rows = np.zeros(20, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -221,6 +221,9 @@ def test_a_lever_of_an_mjcf_is_driven(tmp_path: Path) -> None:
     (mimic,) = read_robot(tmp_path / "arm.xml").mimic_joints
     assert (mimic.joint, mimic.axis, mimic.ratio) == ("m", 2, -0.5)
     assert mimic.offset == pytest.approx(0.2 + 0.1 + 0.5 * 0.4)  # angle - 0.1 = 0.2 - 0.5 (q - 0.4)
+    (tmp_path / "arm.xml").write_text(text.replace('joint1="m"', 'active="false" joint1="m"'))
+    with pytest.raises(CellError, match="the joint 'm' is none of the six and mimics none"):
+        read_robot(tmp_path / "arm.xml")
 
 
 def test_the_name_of_a_missing_file_is_not_cut(tmp_path: Path) -> None:
