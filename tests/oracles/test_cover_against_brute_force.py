@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from planner.cover import SOLVERS, CoverProblem, Overlap, solve
+from planner.cover import SOLVERS, CoverProblem, CoverStatus, Overlap, solve
 from planner.cover.bounds import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.curve import coverage_curve
@@ -38,7 +38,7 @@ def reaches_optimum(problem: CoverProblem) -> bool:
 @given(
     problem=cover_problems(),
     solver=st.sampled_from(sorted(SOLVERS)),
-    effort=st.sampled_from([0, 200_000, 200_000_000, 200_000_000]),
+    effort=st.sampled_from([0, 200_000, 20_000_000, 20_000_000]),
     seed=st.integers(0, 9),
 )
 def test_no_selection_is_better_than_a_bound_and_no_cover_is_better_than_the_best(
@@ -49,6 +49,8 @@ def test_no_selection_is_better_than_a_bound_and_no_cover_is_better_than_the_bes
     cover = solve(problem, rng=np.random.default_rng(seed), solver=solver, effort_budget=effort)
     assert_consistent(problem, cover)
     is_optimal = solver in ("auto", "exact") and effort > 10**6 and reaches_optimum(problem)
+    if is_optimal and cover.status != CoverStatus.PROVEN:  # a linear programme is charged 500,000: with costs 40 nodes
+        cover = solve(problem, rng=np.random.default_rng(seed), solver=solver, effort_budget=100 * effort)
     assert_bounded(Selections(problem), cover, is_optimal=is_optimal)
 
 
