@@ -185,7 +185,7 @@ def test_a_negative_placement_is_not_taken_for_an_option(
     [
         pytest.param("reach", 1000, marks=pytest.mark.slow),
         ("measurability", 1000),
-        pytest.param("select, order and connect", 600, marks=pytest.mark.slow),
+        pytest.param("order and connect", 600, marks=pytest.mark.slow),
     ],
 )
 def test_ctrl_c_in_any_stage_keeps_the_finished_files(
